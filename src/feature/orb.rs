@@ -1,0 +1,187 @@
+//! The ORB extractor: a pyramid, corners on every level, an orientation and a descriptor for each.
+
+use super::brief;
+use super::detection::{self, Corner};
+use super::orientation::IntensityCentroid;
+use super::{Features, Keypoint};
+use crate::geometry::Point;
+use crate::kernel;
+use crate::raster::GreyImage;
+
+/// Settings of the extractor; the defaults are those of the ORB paper and of ORB-SLAM.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OrbOptions {
+    /// Most features a frame; default 1,000.
+    pub max_features: usize,
+    /// Levels of the pyramid; default 8.
+    pub levels: usize,
+    /// Ratio of the sizes of neighbouring levels; default 1.2.
+    pub scale_factor: f32,
+    /// FAST threshold in grey values; default 20.
+    pub threshold: u8,
+    /// FAST threshold in grey values for cells that the first leaves empty; default 7.
+    pub fallback_threshold: u8,
+    /// Frames narrower than this many pixels are enlarged by a whole factor first; default 320.
+    pub min_width_px: usize,
+}
+
+impl Default for OrbOptions {
+    fn default() -> Self {
+        Self {
+            max_features: 1000,
+            levels: 8,
+            scale_factor: 1.2,
+            threshold: 20,
+            fallback_threshold: 7,
+            min_width_px: 320,
+        }
+    }
+}
+
+/// Finds and describes ORB features.
+pub struct OrbExtractor {
+    options: OrbOptions,
+    centroid: IntensityCentroid,
+}
+
+impl OrbExtractor {
+    /// An extractor with these settings.
+    #[must_use]
+    pub fn new(options: OrbOptions) -> Self {
+        Self { options, centroid: IntensityCentroid::new() }
+    }
+
+    /// The features of `frame`, at most [`OrbOptions::max_features`], spread over it.
+    #[must_use]
+    pub fn extract(&self, frame: &GreyImage) -> Features {
+        let mut features = Features {
+            width_px: frame.width() as u32,
+            height_px: frame.height() as u32,
+            ..Features::default()
+        };
+        let enlargement = self.options.min_width_px.div_ceil(frame.width().max(1)).max(1);
+        let mut level = if enlargement == 1 {
+            frame.clone()
+        } else {
+            kernel::resize_bilinear(frame, frame.width() * enlargement, frame.height() * enlargement)
+        };
+        let (base_width, base_height) = (level.width() as f32, level.height() as f32);
+        for (octave, budget) in self.budgets().into_iter().enumerate() {
+            let shrink = self.options.scale_factor.powi(octave as i32);
+            if octave > 0 {
+                let (width, height) = (base_width / shrink, base_height / shrink);
+                level = kernel::resize_bilinear(&level, width.round() as usize, height.round() as usize);
+            }
+            self.extract_level(&level, shrink / enlargement as f32, budget, &mut features);
+        }
+        features
+    }
+
+    /// Features a level, in proportion to the levels' side lengths, as in ORB-SLAM.
+    fn budgets(&self) -> Vec<usize> {
+        let shares: Vec<f32> =
+            (0..self.options.levels).map(|level| self.options.scale_factor.powi(-(level as i32))).collect();
+        let total: f32 = shares.iter().sum();
+        let mut left = self.options.max_features;
+        let mut budgets = Vec::with_capacity(shares.len());
+        for (level, share) in shares.iter().enumerate() {
+            let rounded = (self.options.max_features as f32 * share / total).round() as usize;
+            let budget = if level + 1 == shares.len() { left } else { rounded.min(left) };
+            left -= budget;
+            budgets.push(budget);
+        }
+        budgets
+    }
+
+    fn extract_level(&self, level: &GreyImage, scale: f32, budget: usize, features: &mut Features) {
+        let corners = detection::detect(level, &self.options, budget);
+        if corners.is_empty() {
+            return;
+        }
+        let blurred = kernel::blur_7x7(level);
+        for Corner { x, y, response } in corners {
+            let angle_radians = self.centroid.angle_radians(level, x, y);
+            features.descriptors.push(brief::describe(&blurred, x, y, angle_radians));
+            features.keypoints.push(Keypoint {
+                point: Point { x: in_frame(x, scale), y: in_frame(y, scale) },
+                scale,
+                angle_radians,
+                response,
+            });
+        }
+    }
+}
+
+/// A level's pixel coordinate in the frame; pixel centres lie half a pixel in.
+fn in_frame(coordinate: usize, scale: f32) -> f32 {
+    (coordinate as f32 + 0.5) * scale - 0.5
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn textured(width: usize, height: usize) -> GreyImage {
+        let mut image = GreyImage::new(width, height);
+        for y in 0..height {
+            for (x, pixel) in image.row_mut(y).iter_mut().enumerate() {
+                let block = (x / 9 * 7919 + y / 11 * 104_729) % 251;
+                *pixel = block as u8;
+            }
+        }
+        image
+    }
+
+    #[test]
+    fn a_textured_frame_fills_its_budget_on_all_levels() {
+        let features = OrbExtractor::new(OrbOptions::default()).extract(&textured(640, 480));
+        assert_eq!(features.len(), 1000);
+        assert_eq!(features.descriptors.len(), 1000);
+        let coarsest = features.keypoints.iter().map(|keypoint| keypoint.scale).fold(0.0, f32::max);
+        assert!((coarsest - 1.2_f32.powi(7)).abs() < 1e-3);
+    }
+
+    #[test]
+    fn small_frames_are_enlarged_and_keep_their_own_coordinates() {
+        let features = OrbExtractor::new(OrbOptions::default()).extract(&textured(160, 120));
+        assert!(features.len() > 100, "{}", features.len());
+        assert!(
+            features.keypoints.iter().all(|keypoint| keypoint.point.x < 160.0 && keypoint.point.y < 120.0)
+        );
+        assert!(features.keypoints.iter().any(|keypoint| keypoint.scale == 0.5));
+    }
+
+    #[test]
+    fn flat_and_tiny_frames_have_no_features() {
+        let extractor = OrbExtractor::new(OrbOptions::default());
+        assert!(extractor.extract(&GreyImage::new(640, 480)).is_empty());
+        assert!(extractor.extract(&GreyImage::new(1, 1)).is_empty());
+    }
+
+    #[test]
+    fn a_shifted_frame_keeps_the_descriptors_of_its_finest_level() {
+        let options = OrbOptions { max_features: 100_000, levels: 1, ..OrbOptions::default() };
+        let (wide, extractor) = (textured(440, 320), OrbExtractor::new(options));
+        let crop = |left: usize| {
+            let rows = (0..320).flat_map(|y| wide.row(y)[left..left + 400].to_vec()).collect();
+            GreyImage::from_pixels(400, 320, rows).unwrap()
+        };
+        // A shift by one detection cell, so that every cell keeps its own threshold.
+        let (one, other) = (extractor.extract(&crop(0)), extractor.extract(&crop(35)));
+        let inside = one
+            .keypoints
+            .iter()
+            .zip(&one.descriptors)
+            .filter(|(keypoint, _)| (70.0..350.0).contains(&keypoint.point.x));
+        let found = |keypoint: &Keypoint, descriptor: &crate::feature::Descriptor| {
+            let shifted = Point { x: keypoint.point.x - 35.0, y: keypoint.point.y };
+            other.keypoints.iter().zip(&other.descriptors).any(|(candidate, other_descriptor)| {
+                shifted.distance_squared(candidate.point) < 0.01 && descriptor == other_descriptor
+            })
+        };
+        let (total, kept) = inside.fold((0, 0), |(total, kept), (keypoint, descriptor)| {
+            (total + 1, kept + usize::from(found(keypoint, descriptor)))
+        });
+        assert!(total > 100 && kept == total, "{kept} of {total}");
+    }
+}

@@ -1,0 +1,14 @@
+//! The inner loops, one file each, in plain scalar Rust.
+//!
+//! Everything here is integer arithmetic with one right answer, so that a faster version of a loop
+//! can be held bit for bit against the simple one.
+
+mod blur;
+mod hamming;
+mod resize;
+mod segment;
+
+pub use blur::blur_7x7;
+pub use hamming::hamming;
+pub use resize::resize_bilinear;
+pub use segment::corner_scores;
