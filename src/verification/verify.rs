@@ -1,0 +1,276 @@
+//! Vote-and-verify: from the best Hough hypotheses to a count of inliers that can be trusted.
+//!
+//! A hypothesis, the mean of a coarse bin, is checked loosely; its inliers refit an affine transform,
+//! which is checked tightly. Loose voting keeps the true pairs, the tight count rejects the false.
+//! Inliers crowded on one object prove little, so what counts are *effective* inliers: the cells of
+//! a grid over both images that hold at least one.
+
+use super::hough::{self, HoughOptions};
+use super::{Correspondence, MatchingOptions, MatchingView, correspondences};
+use crate::geometry::{Affine, Point};
+
+/// Fewest correspondences from which an affine transform is fitted; three would always fit.
+const MIN_FIT: usize = 6;
+
+/// Tolerances of the verification.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VerificationOptions {
+    /// Which descriptors correspond.
+    pub matching: MatchingOptions,
+    /// How the transforms are binned.
+    pub hough: HoughOptions,
+    /// Two-way transfer error within which a hypothesis is supported, as a share of the image
+    /// diagonal; default 0.05.
+    pub loose_tolerance: f32,
+    /// The same for the refitted transform; default 0.015.
+    pub tight_tolerance: f32,
+    /// Largest change of area between the images, either way; default 6.
+    pub max_area_ratio: f32,
+    /// Cells along each side of the grid that effective inliers are counted in; default 24.
+    pub grid_cells: usize,
+}
+
+impl Default for VerificationOptions {
+    fn default() -> Self {
+        Self {
+            matching: MatchingOptions::default(),
+            hough: HoughOptions::default(),
+            loose_tolerance: 0.05,
+            tight_tolerance: 0.015,
+            max_area_ratio: 6.0,
+            grid_cells: 24,
+        }
+    }
+}
+
+/// What verification found between a query image and a keyframe.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Verification {
+    /// All correspondences that were tried.
+    pub correspondences: Vec<Correspondence>,
+    /// Indices into `correspondences` of those that agree with the best transform.
+    pub inliers: Vec<u32>,
+    /// Effective inliers: occupied grid cells, the smaller count of the two images.
+    pub effective_inliers: u32,
+    /// The transform from the query image to the keyframe, if any hypothesis held.
+    pub keyframe_from_query: Option<Affine>,
+}
+
+/// Verifies that `query` and `keyframe` show the same scene.
+#[must_use]
+pub fn verify(
+    query: MatchingView<'_>,
+    keyframe: MatchingView<'_>,
+    options: &VerificationOptions,
+) -> Verification {
+    let pairs = correspondences(query, keyframe, &options.matching);
+    let check = Check {
+        pairs: &pairs,
+        query_diagonal_px: query.features.diagonal_px(),
+        keyframe_diagonal_px: keyframe.features.diagonal_px(),
+        options,
+    };
+    let best = check.best_transform();
+    let Some((transform, inliers)) = best else {
+        return Verification { correspondences: pairs, ..Verification::default() };
+    };
+    let effective_inliers = check.effective(&inliers);
+    Verification { correspondences: pairs, inliers, effective_inliers, keyframe_from_query: Some(transform) }
+}
+
+/// One pair of images under verification.
+struct Check<'a> {
+    pairs: &'a [Correspondence],
+    query_diagonal_px: f32,
+    keyframe_diagonal_px: f32,
+    options: &'a VerificationOptions,
+}
+
+impl Check<'_> {
+    fn best_transform(&self) -> Option<(Affine, Vec<u32>)> {
+        if self.pairs.len() < MIN_FIT {
+            return None;
+        }
+        let diagonal_px = self.query_diagonal_px.max(self.keyframe_diagonal_px);
+        let hypotheses = hough::hypotheses(self.pairs, diagonal_px, &self.options.hough);
+        let refined = hypotheses.iter().filter_map(|&hypothesis| self.refine(hypothesis.into()));
+        // Of equally good hypotheses the first, which got more votes.
+        refined.reduce(|best, next| if next.1.len() > best.1.len() { next } else { best })
+    }
+
+    /// Refits `hypothesis` to its loose inliers, then to its tight ones, and counts tightly.
+    fn refine(&self, hypothesis: Affine) -> Option<(Affine, Vec<u32>)> {
+        let loose = self.inliers(&hypothesis, self.options.loose_tolerance);
+        let halfway = (self.options.loose_tolerance + self.options.tight_tolerance) / 2.0;
+        let mut transform = self.fit(&loose)?;
+        for tolerance in [halfway, self.options.tight_tolerance] {
+            let inliers = self.inliers(&transform, tolerance);
+            transform = self.fit(&inliers)?;
+        }
+        let inliers = self.inliers(&transform, self.options.tight_tolerance);
+        (inliers.len() >= MIN_FIT).then_some((transform, inliers))
+    }
+
+    fn fit(&self, inliers: &[u32]) -> Option<Affine> {
+        let fitted = fit_affine(inliers.iter().map(|&index| &self.pairs[index as usize]))?;
+        let ratio = fitted.determinant();
+        let max = self.options.max_area_ratio;
+        // A negative ratio is a mirror image, which no camera motion makes.
+        (ratio >= 1.0 / max && ratio <= max).then_some(fitted)
+    }
+
+    /// The pairs whose transfer error both ways stays within `tolerance` of the image diagonals.
+    fn inliers(&self, keyframe_from_query: &Affine, tolerance: f32) -> Vec<u32> {
+        let Some(query_from_keyframe) = keyframe_from_query.inverse() else { return Vec::new() };
+        let max_keyframe = (tolerance * self.keyframe_diagonal_px).powi(2);
+        let max_query = (tolerance * self.query_diagonal_px).powi(2);
+        let agrees = |pair: &Correspondence| {
+            let (query, keyframe) = (pair.query_point.point, pair.keyframe_point.point);
+            keyframe_from_query.apply(query).distance_squared(keyframe) <= max_keyframe
+                && query_from_keyframe.apply(keyframe).distance_squared(query) <= max_query
+        };
+        (0..).zip(self.pairs).filter(|(_, pair)| agrees(pair)).map(|(index, _)| index).collect()
+    }
+
+    fn effective(&self, inliers: &[u32]) -> u32 {
+        let pairs = || inliers.iter().map(|&index| &self.pairs[index as usize]);
+        let cells = self.options.grid_cells as f32;
+        let in_query = occupied(pairs().map(|pair| pair.query_point.point), self.query_diagonal_px / cells);
+        let in_keyframe =
+            occupied(pairs().map(|pair| pair.keyframe_point.point), self.keyframe_diagonal_px / cells);
+        in_query.min(in_keyframe)
+    }
+}
+
+/// How many cells of `cell_px` hold at least one of the points.
+fn occupied(points: impl Iterator<Item = Point>, cell_px: f32) -> u32 {
+    let mut cells: Vec<(i32, i32)> =
+        points.map(|point| ((point.x / cell_px) as i32, (point.y / cell_px) as i32)).collect();
+    cells.sort_unstable();
+    cells.dedup();
+    cells.len() as u32
+}
+
+/// The affine transform from query to keyframe points with the least sum of squared errors; `None`
+/// for too few points or points on a line.
+fn fit_affine<'a>(pairs: impl Iterator<Item = &'a Correspondence> + Clone) -> Option<Affine> {
+    let count = pairs.clone().count();
+    if count < MIN_FIT {
+        return None;
+    }
+    let mean = |value: fn(&Correspondence) -> f32| {
+        pairs.clone().map(|pair| f64::from(value(pair))).sum::<f64>() / count as f64
+    };
+    let (qx, qy) = (mean(|p| p.query_point.point.x), mean(|p| p.query_point.point.y));
+    let (kx, ky) = (mean(|p| p.keyframe_point.point.x), mean(|p| p.keyframe_point.point.y));
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    let (mut ux, mut uy, mut vx, mut vy) = (0.0, 0.0, 0.0, 0.0);
+    for pair in pairs {
+        let (x, y) = (f64::from(pair.query_point.point.x) - qx, f64::from(pair.query_point.point.y) - qy);
+        let (u, v) =
+            (f64::from(pair.keyframe_point.point.x) - kx, f64::from(pair.keyframe_point.point.y) - ky);
+        (xx, xy, yy) = (xx + x * x, xy + x * y, yy + y * y);
+        (ux, uy, vx, vy) = (ux + u * x, uy + u * y, vx + v * x, vy + v * y);
+    }
+    let determinant = xx * yy - xy * xy;
+    // Points on a line leave the transform across it open.
+    if determinant <= 1e-6 * (xx + yy) * (xx + yy) {
+        return None;
+    }
+    let row = |x: f64, y: f64| ((x * yy - y * xy) / determinant, (y * xx - x * xy) / determinant);
+    let ((a, b), (c, d)) = (row(ux, uy), row(vx, vy));
+    Some(Affine {
+        linear: [a as f32, b as f32, c as f32, d as f32],
+        translation: Point { x: (kx - a * qx - b * qy) as f32, y: (ky - c * qx - d * qy) as f32 },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::feature::{Descriptor, Features, Keypoint};
+    use crate::geometry::{Similarity, wrap_radians};
+    use proptest::prelude::*;
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    /// A random scene, and the same scene under `transform` where `true_share` of the features
+    /// really moved so and the rest went anywhere.
+    fn scene(transform: Similarity, true_share: f64, seed: u64) -> (Features, Features) {
+        let mut random = Pcg64::seed_from_u64(seed);
+        let mut query = Features { width_px: 640, height_px: 480, ..Features::default() };
+        let mut keyframe = query.clone();
+        for _ in 0..200 {
+            let point = Point { x: random.random_range(0.0..640.0), y: random.random_range(0.0..480.0) };
+            let keypoint = Keypoint { point, scale: 1.0, angle_radians: 0.3, response: 30 };
+            let moved = if random.random_bool(true_share) {
+                Keypoint {
+                    point: transform.apply(point),
+                    scale: transform.scale,
+                    angle_radians: wrap_radians(0.3 + transform.rotation_radians),
+                    response: 30,
+                }
+            } else {
+                let point = Point { x: random.random_range(0.0..640.0), y: random.random_range(0.0..480.0) };
+                Keypoint { point, angle_radians: random.random_range(-3.0..3.0), ..keypoint }
+            };
+            let descriptor = Descriptor(random.random());
+            query.keypoints.push(keypoint);
+            query.descriptors.push(descriptor);
+            keyframe.keypoints.push(moved);
+            keyframe.descriptors.push(descriptor);
+        }
+        (query, keyframe)
+    }
+
+    fn verified(query: &Features, keyframe: &Features) -> Verification {
+        let groups = vec![0; query.len()];
+        let view = |features| MatchingView { features, groups: &groups };
+        verify(view(query), view(keyframe), &VerificationOptions::default())
+    }
+
+    proptest! {
+        #[test]
+        fn a_seen_place_is_verified_from_a_third_of_true_pairs(
+            x in -60.0..60.0_f32, y in -60.0..60.0_f32, scale in 0.7..1.4_f32, turn in -0.4..0.4_f32, seed in 0..50_u64,
+        ) {
+            let transform = Similarity { scale, rotation_radians: turn, translation: Point { x, y } };
+            let (query, keyframe) = scene(transform, 0.3, seed);
+            let verification = verified(&query, &keyframe);
+            prop_assert!(verification.effective_inliers >= 30, "{}", verification.effective_inliers);
+            let found = verification.keyframe_from_query.unwrap();
+            let centre = Point { x: 320.0, y: 240.0 };
+            prop_assert!(found.apply(centre).distance_squared(transform.apply(centre)) < 36.0);
+        }
+
+        #[test]
+        fn unrelated_images_are_not(seed in 0..200_u64) {
+            let nowhere = Similarity { scale: 1.0, rotation_radians: 0.0, translation: Point::default() };
+            let (query, keyframe) = scene(nowhere, 0.0, seed);
+            prop_assert!(verified(&query, &keyframe).effective_inliers < 12);
+        }
+    }
+
+    #[test]
+    fn inliers_crowded_in_one_corner_count_as_few() {
+        let same = Similarity { scale: 1.0, rotation_radians: 0.0, translation: Point::default() };
+        let (mut query, _) = scene(same, 1.0, 1);
+        for keypoint in &mut query.keypoints {
+            keypoint.point = Point { x: keypoint.point.x / 20.0, y: keypoint.point.y / 20.0 };
+        }
+        let verification = verified(&query, &query);
+        assert_eq!(verification.inliers.len(), 200);
+        assert!(verification.effective_inliers <= 4, "{}", verification.effective_inliers);
+    }
+
+    #[test]
+    fn images_without_features_or_on_one_line_are_not_verified() {
+        assert_eq!(verified(&Features::default(), &Features::default()), Verification::default());
+        let same = Similarity { scale: 1.0, rotation_radians: 0.0, translation: Point::default() };
+        let (mut line, _) = scene(same, 1.0, 1);
+        for keypoint in &mut line.keypoints {
+            keypoint.point.y = 100.0;
+        }
+        assert_eq!(verified(&line, &line).effective_inliers, 0);
+    }
+}
