@@ -1,0 +1,173 @@
+//! The inverted index: for every word the images that show it.
+
+use heapless::Vec as FixedVec;
+
+use super::BowVector;
+
+/// Most documents that a query answers with.
+pub const MAX_RETRIEVED: usize = 16;
+
+/// An indexed image, counted from 0 in the order of adding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct DocumentId(pub u32);
+
+/// An image that shares words with the query.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Retrieved {
+    /// Which.
+    pub document: DocumentId,
+    /// L1 score in (0, 1].
+    pub score: f32,
+}
+
+#[derive(Clone, Copy)]
+struct Posting {
+    document: u32,
+    weight: f32,
+}
+
+/// Posting lists of all words.
+pub struct InvertedIndex {
+    postings: Vec<Vec<Posting>>,
+    /// Score of each document in the query under way; all zero in between.
+    accumulators: Vec<f32>,
+}
+
+impl InvertedIndex {
+    /// An empty index over a vocabulary of `word_count` words.
+    #[must_use]
+    pub fn new(word_count: u32) -> Self {
+        Self { postings: vec![Vec::new(); word_count as usize], accumulators: Vec::new() }
+    }
+
+    /// Indexes an image. Words outside the vocabulary are ignored.
+    pub fn add(&mut self, bow: &BowVector) -> DocumentId {
+        let document = self.accumulators.len() as u32;
+        self.accumulators.push(0.0);
+        for &(word, weight) in bow.entries() {
+            if let Some(list) = self.postings.get_mut(word.0 as usize) {
+                list.push(Posting { document, weight });
+            }
+        }
+        DocumentId(document)
+    }
+
+    /// Number of indexed images.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.accumulators.len()
+    }
+
+    /// Whether nothing was indexed yet.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.accumulators.is_empty()
+    }
+
+    /// The images that `wanted` accepts and that score best, best first, at most [`MAX_RETRIEVED`].
+    ///
+    /// For vectors of length one, 1 − ½ Σ|v − w| = Σ min(v, w) over the common words.
+    pub fn query(
+        &mut self,
+        bow: &BowVector,
+        wanted: impl Fn(DocumentId) -> bool,
+    ) -> FixedVec<Retrieved, MAX_RETRIEVED> {
+        let mut touched = Vec::new();
+        for &(word, weight) in bow.entries() {
+            for posting in self.postings.get(word.0 as usize).into_iter().flatten() {
+                let accumulator = &mut self.accumulators[posting.document as usize];
+                if *accumulator == 0.0 {
+                    touched.push(posting.document);
+                }
+                *accumulator += weight.min(posting.weight);
+            }
+        }
+        // Sorted, so that of equal scores the older document wins whatever the order of words.
+        touched.sort_unstable();
+        let mut best = FixedVec::new();
+        for document in touched {
+            let score = std::mem::take(&mut self.accumulators[document as usize]);
+            if wanted(DocumentId(document)) {
+                insert_sorted(&mut best, Retrieved { document: DocumentId(document), score });
+            }
+        }
+        best
+    }
+}
+
+/// Keeps `best` sorted by falling score and drops what does not fit.
+fn insert_sorted(best: &mut FixedVec<Retrieved, MAX_RETRIEVED>, next: Retrieved) {
+    let position = best.partition_point(|kept| kept.score >= next.score);
+    if position == MAX_RETRIEVED {
+        return;
+    }
+    if best.is_full() {
+        best.pop();
+    }
+    // Cannot fail: there is room, and the position lies within.
+    let _ = best.insert(position, next);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::feature::Descriptor;
+    use crate::vocabulary::{TrainingOptions, Vocabulary, WordId, train};
+    use proptest::prelude::*;
+
+    fn vocabulary() -> Vocabulary {
+        let images: Vec<Vec<Descriptor>> = (0..30_u8)
+            .map(|i| (0..3).map(|j| Descriptor([(i * 3 + j).wrapping_mul(37); 32])).collect())
+            .collect();
+        train(&images, TrainingOptions { branching: 6, depth: 2, seed: 1 }).unwrap()
+    }
+
+    fn score_by_definition(a: &BowVector, b: &BowVector) -> f32 {
+        let weight = |bow: &BowVector, word: u32| {
+            bow.entries().iter().find(|entry| entry.0 == WordId(word)).map_or(0.0, |entry| entry.1)
+        };
+        1.0 - 0.5 * (0..100).map(|word| (weight(a, word) - weight(b, word)).abs()).sum::<f32>()
+    }
+
+    proptest! {
+        #[test]
+        fn the_index_finds_what_comparing_with_every_image_finds(
+            images in proptest::collection::vec(proptest::collection::vec(0..20_u32, 1..12), 1..30),
+            query in proptest::collection::vec(0..20_u32, 1..12),
+            unwanted in 0..30_u32,
+        ) {
+            let vocabulary = vocabulary();
+            let bow = |words: &[u32]| BowVector::new(words.iter().copied().map(WordId), &vocabulary);
+            let mut index = InvertedIndex::new(vocabulary.word_count());
+            for image in &images {
+                index.add(&bow(image));
+            }
+            let wanted = |document: DocumentId| document.0 != unwanted;
+            let mut expected: Vec<(f32, usize)> = images.iter().enumerate()
+                .filter(|&(document, _)| document as u32 != unwanted)
+                .map(|(document, image)| (score_by_definition(&bow(&query), &bow(image)), document))
+                .filter(|&(score, _)| score > 1e-5).collect();
+            expected.sort_by(|a, b| b.0.total_cmp(&a.0));
+            for _ in 0..2 {
+                let found = index.query(&bow(&query), wanted);
+                prop_assert_eq!(found.len(), expected.len().min(MAX_RETRIEVED));
+                for (found, expected) in found.iter().zip(&expected) {
+                    prop_assert!((found.score - expected.0).abs() < 1e-5);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_image_scores_one_against_itself_and_leads() {
+        let vocabulary = vocabulary();
+        let mut index = InvertedIndex::new(vocabulary.word_count());
+        let one = BowVector::new([1, 2, 3].map(WordId), &vocabulary);
+        index.add(&BowVector::new([3, 4, 5].map(WordId), &vocabulary));
+        let own = index.add(&one);
+        let found = index.query(&one, |_| true);
+        assert_eq!(found[0].document, own);
+        assert!((found[0].score - 1.0).abs() < 1e-6);
+        assert!(index.query(&BowVector::default(), |_| true).is_empty());
+    }
+}
