@@ -131,9 +131,9 @@ mod tests {
     use proptest::prelude::*;
 
     fn oriented_point() -> impl Strategy<Value = OrientedPoint> {
-        (-500.0..500.0_f32, -500.0..500.0_f32, 1.0..4.0_f32, -PI..PI).prop_map(|(x, y, scale, angle_radians)| {
-            OrientedPoint { point: Point { x, y }, scale, angle_radians }
-        })
+        (-500.0..500.0_f32, -500.0..500.0_f32, 1.0..4.0_f32, -PI..PI).prop_map(
+            |(x, y, scale, angle_radians)| OrientedPoint { point: Point { x, y }, scale, angle_radians },
+        )
     }
 
     proptest! {

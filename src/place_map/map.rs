@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::format::{ExperienceRecord, JOURNAL_NAME, KIND, PackedKeypoint, Record};
 use super::{Appearance, Experience, ExperienceId, Keyframe, MapError, Place, PlaceId};
+use crate::cnn;
 use crate::feature::Features;
 use crate::frame::{Frame, Pose};
 use crate::storage::{FileLog, LogStore, MemoryLog, RecordLog, Recovery, StorageError, WriterLock};
@@ -135,11 +136,19 @@ impl PlaceMap {
             height_px: new.features.height_px,
             keypoints: new.features.keypoints.iter().map(PackedKeypoint::from).collect(),
             descriptors: new.features.descriptors.iter().map(|descriptor| descriptor.0).collect(),
-            appearance: new.appearance.map(|a| (a.model.clone(), a.descriptor.clone())),
+            appearance: new.appearance.map(|a| (a.model.clone(), a.descriptor.as_slice().to_vec())),
             thumbnail_jpeg: new.thumbnail_jpeg.to_vec(),
         };
         self.write(Record::Experienced(Box::new(record)))?;
         Ok(ExperienceId(self.contents.experiences.len() as u32 - 1))
+    }
+
+    /// Gives `place` a name, or another one.
+    ///
+    /// # Errors
+    /// If there is no such place or the journal cannot be written.
+    pub fn name_place(&mut self, place: PlaceId, name: &str) -> Result<(), MapError> {
+        self.write(Record::Named { place: place.0, name: name.to_owned() })
     }
 
     /// Returns when everything added so far would survive a power cut.
@@ -255,7 +264,7 @@ impl Contents {
     fn apply_experience(&mut self, record: ExperienceRecord, offset: u64) -> Result<(), String> {
         let id = ExperienceId(self.experiences.len() as u32);
         let features = record.features().ok_or("its features do not fit together")?;
-        let appearance = record.appearance.map(|(model, descriptor)| Appearance { model, descriptor });
+        let appearance = record.appearance.map(unpack_appearance).transpose()?;
         self.places[record.place as usize].experiences.push(id);
         self.experiences.push(Experience {
             id,
@@ -269,6 +278,11 @@ impl Contents {
         });
         Ok(())
     }
+}
+
+fn unpack_appearance((model, values): (String, Vec<f32>)) -> Result<Appearance, String> {
+    let descriptor = cnn::Descriptor::from_values(values).ok_or("its CNN descriptor has no direction")?;
+    Ok(Appearance { model, descriptor })
 }
 
 fn pack_pose(pose: Pose) -> [f64; 7] {
@@ -312,7 +326,10 @@ mod tests {
     }
 
     fn add(map: &mut PlaceMap, place: PlaceId, index: u64, is_keyframe: bool) -> ExperienceId {
-        let appearance = Appearance { model: "abc".to_owned(), descriptor: vec![0.6, 0.8] };
+        let appearance = Appearance {
+            model: "abc".to_owned(),
+            descriptor: cnn::Descriptor::from_values(vec![0.6, 0.8]).unwrap(),
+        };
         let new = NewExperience {
             frame: &frame(index),
             features: &features(),
@@ -331,6 +348,7 @@ mod tests {
         add(&mut map, dock, 0, true);
         add(&mut map, hall, 1, true);
         let last = add(&mut map, dock, 2, false);
+        map.name_place(dock, "dock 3").unwrap();
         let (places, experiences, summary) =
             (map.places().to_vec(), map.experiences().to_vec(), map.summary());
         drop(map);
@@ -339,6 +357,7 @@ mod tests {
         assert_eq!(reopened.experiences(), experiences);
         assert_eq!(reopened.summary(), summary);
         assert_eq!((summary.places, summary.experiences, summary.keyframes), (2, 3, 2));
+        assert_eq!(reopened.place(dock).unwrap().name.as_deref(), Some("dock 3"));
         assert_eq!(reopened.thumbnail_jpeg(last).unwrap(), [2; 9]);
     }
 

@@ -11,6 +11,7 @@ pub use map::{MapSummary, NewExperience, PlaceMap};
 
 use std::path::PathBuf;
 
+use crate::cnn;
 use crate::feature::Features;
 use crate::frame::Pose;
 use crate::storage::StorageError;
@@ -69,8 +70,8 @@ pub struct Keyframe {
 pub struct Appearance {
     /// Identity of the model: the hash in its card.
     pub model: String,
-    /// The descriptor, of L2 length 1.
-    pub descriptor: Vec<f32>,
+    /// The descriptor.
+    pub descriptor: cnn::Descriptor,
 }
 
 /// Why a map could not be opened or written.

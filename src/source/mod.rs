@@ -1,9 +1,17 @@
-//! Where frames come from: a folder of images, a synthetic world, and later a camera or a video.
+//! Where frames come from: a folder of images or a synthetic world.
 //!
-//! A [`FrameSource`] hands out frames in order and never ends the stream because of one bad
-//! image: that one is reported and the next call goes on.
+//! A [`FrameSource`] hands out frames in order and never ends the stream because of one bad image:
+//! that one is reported and the next call goes on.
 
+mod codec;
+mod directory;
 pub mod synthetic;
+
+pub use codec::{decode, jpeg, thumbnail_jpeg};
+pub use directory::DirectorySource;
+
+use std::io;
+use std::path::PathBuf;
 
 use crate::frame::Frame;
 
@@ -28,4 +36,54 @@ pub enum SourceError {
         /// What is wrong with it.
         reason: String,
     },
+    /// The source is of a kind that this version does not read.
+    #[error("cannot read {given}: {reason}")]
+    NotSupported {
+        /// What was asked for.
+        given: String,
+        /// What to do instead.
+        reason: &'static str,
+    },
+    /// The operating system said no.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// The folder holds no images.
+    #[error("no images in {}: name a folder with .jpg or .png files", path.display())]
+    NoImages {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// An image could not be decoded.
+    #[error("bad image {name}: {reason}")]
+    BadImage {
+        /// The file.
+        name: String,
+        /// What is wrong with it, and what to do.
+        reason: String,
+    },
+}
+
+/// Opens `source` (a folder, or `synthetic:…`) and hands out every `sample_interval`-th frame.
+///
+/// # Errors
+/// If there is no such source or it holds no frames.
+pub fn open(source: &str, sample_interval: u64) -> Result<Box<dyn FrameSource>, SourceError> {
+    let unsupported = |reason| SourceError::NotSupported { given: source.to_owned(), reason };
+    if let Some(world) = source.strip_prefix("synthetic:") {
+        return Ok(Box::new(synthetic::SyntheticSource::open(world.parse()?, sample_interval)));
+    }
+    if source.starts_with("v4l2:") {
+        return Err(unsupported("cameras are not built yet; record the images into a folder"));
+    }
+    let path = PathBuf::from(source);
+    let metadata = path.metadata().map_err(|source| SourceError::Io { path: path.clone(), source })?;
+    if metadata.is_dir() {
+        return Ok(Box::new(DirectorySource::open(&path, sample_interval)?));
+    }
+    Err(unsupported("it is not a folder, and video files are not built yet; extract the images into a folder"))
 }

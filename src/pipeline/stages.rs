@@ -1,0 +1,220 @@
+//! The stages, each a loop over its queue.
+
+use std::panic;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::ScopedJoinHandle;
+use std::time::Instant;
+
+use crossbeam_channel::{Receiver, Sender};
+
+use super::{PipelineError, RunSummary, Watcher};
+use crate::cnn::{self, CnnError, DescriptorModel};
+use crate::feature::{Features, OrbExtractor};
+use crate::frame::Frame;
+use crate::place_map::{MapError, PlaceMap};
+use crate::recognition::{Decision, Look, Recogniser, Recognition};
+use crate::source::{FrameSource, thumbnail_jpeg};
+use crate::telemetry::{
+    CnnStatus, FrameRecord, MatchedKeyframe, RecognitionSink, StageLatency, TelemetryError,
+};
+use crate::vocabulary::{Quantised, Vocabulary};
+
+/// A frame on its way.
+#[derive(Clone)]
+pub(super) struct Captured {
+    frame: Arc<Frame>,
+    decode_us: u64,
+    decoded_at: Instant,
+}
+
+/// A frame with its features and their words.
+pub(super) struct Featured {
+    captured: Captured,
+    features: Features,
+    quantised: Vec<Quantised>,
+    features_us: u64,
+}
+
+/// A frame's descriptor, or why there is none.
+pub(super) struct Described {
+    descriptor: Result<cnn::Descriptor, CnnError>,
+    cnn_us: u64,
+}
+
+/// Reads frames until the source ends, `stop` is set or nobody listens; answers how many were skipped.
+pub(super) fn capture(
+    mut source: Box<dyn FrameSource>,
+    stop: &AtomicBool,
+    watcher: &dyn Watcher,
+    (to_features, to_cnn): (Sender<Captured>, Option<Sender<Captured>>),
+) -> u64 {
+    let mut skipped = 0;
+    while !stop.load(Ordering::Relaxed) {
+        let started = Instant::now();
+        match source.next_frame() {
+            None => break,
+            Some(Err(error)) => {
+                watcher.skipped(&error);
+                skipped += 1;
+            }
+            Some(Ok(frame)) => {
+                let decoded_at = Instant::now();
+                let captured = Captured { frame: Arc::new(frame), decode_us: micros(started), decoded_at };
+                let heard_by_cnn = to_cnn.as_ref().is_none_or(|queue| queue.send(captured.clone()).is_ok());
+                if !heard_by_cnn || to_features.send(captured).is_err() {
+                    break;
+                }
+            }
+        }
+    }
+    skipped
+}
+
+/// Extracts and quantises the features of every frame.
+pub(super) fn extract(
+    extractor: &OrbExtractor,
+    vocabulary: &Vocabulary,
+    captured: Receiver<Captured>,
+    to_recognition: Sender<Featured>,
+) {
+    for captured in captured {
+        let started = Instant::now();
+        let features = extractor.extract(&captured.frame.grey);
+        let quantised = features.descriptors.iter().map(|descriptor| vocabulary.quantise(descriptor)).collect();
+        let featured = Featured { captured, features, quantised, features_us: micros(started) };
+        if to_recognition.send(featured).is_err() {
+            break;
+        }
+    }
+}
+
+/// Runs the CNN on every frame.
+pub(super) fn describe(
+    mut model: DescriptorModel,
+    captured: Receiver<Captured>,
+    to_recognition: Sender<Described>,
+) {
+    for captured in captured {
+        let started = Instant::now();
+        let descriptor = model.describe(&captured.frame.colour);
+        if to_recognition.send(Described { descriptor, cnn_us: micros(started) }).is_err() {
+            break;
+        }
+    }
+}
+
+/// What recognition waits for: a frame's features and, where a CNN runs, its descriptor. Both queues
+/// hold the same frames in the same order.
+pub(super) struct Inputs {
+    pub(super) featured: Receiver<Featured>,
+    pub(super) described: Option<Receiver<Described>>,
+}
+
+impl Inputs {
+    /// Both halves of the next frame; `None` when one of the stages before has ended.
+    fn next(&self) -> Option<(Featured, Option<Described>)> {
+        let featured = self.featured.recv().ok()?;
+        match &self.described {
+            None => Some((featured, None)),
+            Some(queue) => Some((featured, Some(queue.recv().ok()?))),
+        }
+    }
+}
+
+/// Decides every frame, in order.
+pub(super) fn recognise(
+    mut recogniser: Recogniser,
+    inputs: Inputs,
+    (to_sinks, shows_matched): (Sender<FrameRecord>, bool),
+    watcher: &dyn Watcher,
+) -> Result<RunSummary, PipelineError> {
+    let mut summary = RunSummary::new(recogniser.has_cnn());
+    while let Some((featured, described)) = inputs.next() {
+        if let Some(Described { descriptor: Err(error), .. }) = &described {
+            watcher.cnn_failed(&featured.captured.frame.name, error);
+        }
+        let mut record = decide(&mut recogniser, featured, described)?;
+        if shows_matched {
+            record.matched = matched_keyframe(recogniser.map(), &record.recognition)?;
+        }
+        summary.count(&record);
+        watcher.decided(&record);
+        if to_sinks.send(record).is_err() {
+            break;
+        }
+    }
+    recogniser.sync()?;
+    summary.map = Some(recogniser.map().summary());
+    Ok(summary)
+}
+
+fn decide(
+    recogniser: &mut Recogniser,
+    featured: Featured,
+    described: Option<Described>,
+) -> Result<FrameRecord, MapError> {
+    let Featured { captured, features, quantised, features_us } = featured;
+    let (cnn, cnn_us) = match &described {
+        None => (CnnStatus::Unavailable, 0),
+        Some(Described { descriptor: Ok(_), cnn_us }) => (CnnStatus::Available, *cnn_us),
+        Some(Described { descriptor: Err(_), cnn_us }) => (CnnStatus::Failed, *cnn_us),
+    };
+    let appearance = described.and_then(|described| described.descriptor.ok());
+    let look = Look { features, quantised, appearance };
+    let started = Instant::now();
+    let mut candidates = recogniser.retrieve(&look);
+    let retrieval_us = micros(started);
+    let started = Instant::now();
+    let verification = recogniser.verify(&look, &mut candidates);
+    let verification_us = micros(started);
+    let frame = captured.frame;
+    let thumbnail = || thumbnail_jpeg(&frame.colour);
+    let recognition = recogniser.decide(&frame, &look, (candidates, verification), thumbnail)?;
+    let latency = StageLatency {
+        decode_us: captured.decode_us,
+        features_us,
+        cnn_us,
+        retrieval_us,
+        verification_us,
+        total_us: micros(captured.decoded_at),
+    };
+    Ok(FrameRecord { frame, look: Arc::new(look), recognition, matched: None, cnn, latency })
+}
+
+fn matched_keyframe(map: &PlaceMap, recognition: &Recognition) -> Result<Option<MatchedKeyframe>, MapError> {
+    let is_match = matches!(recognition.decision, Decision::Recognised | Decision::Revisited);
+    let experience = recognition.keyframe.filter(|_| is_match).and_then(|id| map.experience(id));
+    let Some((experience, keyframe)) = experience.and_then(|e| Some((e, e.keyframe.as_ref()?))) else {
+        return Ok(None);
+    };
+    Ok(Some(MatchedKeyframe {
+        experience: experience.id,
+        frame_name: experience.frame_name.clone(),
+        width_px: keyframe.features.width_px,
+        height_px: keyframe.features.height_px,
+        thumbnail_jpeg: map.thumbnail_jpeg(experience.id)?,
+    }))
+}
+
+/// Hands every record to every sink, until one refuses.
+pub(super) fn deliver(
+    mut sinks: Vec<Box<dyn RecognitionSink>>,
+    records: Receiver<FrameRecord>,
+) -> Result<(), TelemetryError> {
+    for record in records {
+        for sink in &mut sinks {
+            sink.record(&record)?;
+        }
+    }
+    sinks.iter_mut().try_for_each(|sink| sink.finish())
+}
+
+/// What a stage answered; its panic, a defect of ours, goes on in the caller.
+pub(super) fn joined<T>(stage: ScopedJoinHandle<'_, T>) -> T {
+    stage.join().unwrap_or_else(|defect| panic::resume_unwind(defect))
+}
+
+fn micros(since: Instant) -> u64 {
+    u64::try_from(since.elapsed().as_micros()).unwrap_or(u64::MAX)
+}

@@ -1,0 +1,90 @@
+//! Candidate places, and why they were turned down.
+
+use std::fmt;
+
+use heapless::Vec as FixedVec;
+
+use crate::place_map::{ExperienceId, PlaceId};
+
+/// Most candidates of each kind of evidence that are considered for a frame.
+pub const MAX_CANDIDATES: usize = 8;
+
+/// Candidates of both kinds.
+pub type Candidates = FixedVec<Candidate, { 2 * MAX_CANDIDATES }>;
+
+/// What speaks for a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Evidence {
+    /// The CNN descriptor.
+    Cnn,
+    /// Common visual words, verified by Hough voting.
+    BowHv,
+    /// The place was founded within the place interval.
+    PlaceInterval,
+}
+
+impl Evidence {
+    /// The word for it in records and logs.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Cnn => "cnn",
+            Self::BowHv => "bow_hv",
+            Self::PlaceInterval => "place_interval",
+        }
+    }
+}
+
+/// A place that a frame may show.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate {
+    /// The place.
+    pub place: PlaceId,
+    /// Its keyframe that is most like the frame.
+    pub keyframe: ExperienceId,
+    /// What speaks for it.
+    pub by: Evidence,
+    /// Cosine of the CNN descriptors, or L1 score of the BoW vectors.
+    pub score: f32,
+    /// Effective inliers, once verified.
+    pub inliers: Option<u32>,
+    /// Why it was turned down; `None` for the one that was accepted.
+    pub rejected: Option<Rejection>,
+}
+
+/// Why a candidate was turned down.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rejection {
+    /// Its score stays below what recognition needs.
+    Score {
+        /// The score.
+        got: f32,
+        /// What it would have taken.
+        needed: f32,
+    },
+    /// It has too few effective inliers.
+    Inliers {
+        /// How many.
+        got: u32,
+        /// What it would have taken.
+        needed: u32,
+    },
+    /// It is the place we are in, founded so recently that its frames join it unasked.
+    WithinPlaceInterval,
+    /// Another candidate was accepted before it.
+    Outdone {
+        /// Whose place.
+        by: PlaceId,
+    },
+}
+
+impl fmt::Display for Rejection {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Score { got, needed } => write!(formatter, "score {got:.3} < {needed:.3}"),
+            Self::Inliers { got, needed } => write!(formatter, "inliers {got} < {needed}"),
+            Self::WithinPlaceInterval => write!(formatter, "within the place interval"),
+            Self::Outdone { by } => write!(formatter, "place {} was accepted", by.0),
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! The decision: which place does this frame show?
+//!
+//! The CNN comes first: a frame whose descriptor is close enough to a keyframe's is `recognised`. Else
+//! BoW+HV decides: keyframes that share visual words are verified geometrically, and a verified one is
+//! `revisited`. Else the frame founds a new place, unless the place we are in was founded a moment ago
+//! (Algorithm 1 of the paper). Every candidate that was turned down says why.
+//!
+//! A pure state machine: the same frames give the same decisions, whatever the clock says.
+
+mod appearance;
+mod candidate;
+mod recogniser;
+
+pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
+pub use recogniser::{Look, Recogniser, RecognitionOptions};
+
+use crate::place_map::{ExperienceId, PlaceId};
+use crate::verification::Verification;
+
+/// What was decided about a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Decision {
+    /// The CNN knows the place.
+    Recognised,
+    /// BoW+HV, the fallback, matched and verified a keyframe of the place.
+    Revisited,
+    /// The place we are in was founded within the place interval δ_ep; the frame joins it.
+    SamePlace,
+    /// Nothing matched: a place was founded.
+    NewPlace,
+    /// Nothing matched, and the map is read-only.
+    Unknown,
+}
+
+impl Decision {
+    /// The word for it in records and logs.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Recognised => "recognised",
+            Self::Revisited => "revisited",
+            Self::SamePlace => "same_place",
+            Self::NewPlace => "new_place",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
+/// The answer for one frame.
+#[derive(Clone, Debug)]
+pub struct Recognition {
+    /// What was decided.
+    pub decision: Decision,
+    /// Which evidence decided, unless nothing matched.
+    pub by: Option<Evidence>,
+    /// The place, unless unknown.
+    pub place: Option<PlaceId>,
+    /// The place's name, if it has one.
+    pub name: Option<String>,
+    /// The keyframe that was matched.
+    pub keyframe: Option<ExperienceId>,
+    /// Probability that the decision is right, 0 to 1.
+    pub confidence: f32,
+    /// Effective inliers of the accepted match, if it was verified.
+    pub inliers: Option<u32>,
+    /// What was considered, the accepted one first, then the best of the rejected.
+    pub candidates: Candidates,
+    /// The geometry of the accepted match, if it was verified.
+    pub verification: Option<Verification>,
+}

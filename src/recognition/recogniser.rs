@@ -1,0 +1,399 @@
+//! The recogniser: retrieves candidates, verifies them, decides, and grows the map.
+
+use std::sync::Arc;
+
+use super::appearance::AppearanceIndex;
+use super::candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
+use super::{Decision, Recognition};
+use crate::cnn;
+use crate::feature::Features;
+use crate::frame::Frame;
+use crate::place_map::{Appearance, ExperienceId, MapError, NewExperience, PlaceId, PlaceMap};
+use crate::retrieval::{BowVector, DocumentId, InvertedIndex};
+use crate::verification::{MatchingView, Verification, VerificationOptions, verify};
+use crate::vocabulary::{Quantised, Vocabulary};
+
+/// Settings of the decision.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecognitionOptions {
+    /// δ_ep: sampled frames that join a place unasked after its founding; default 5.
+    pub place_interval: u32,
+    /// Fewest effective inliers of a verified match; default 12.
+    pub min_inliers: u32,
+    /// Never change the map; frames that match nothing are `unknown`. Default false.
+    pub read_only: bool,
+    /// Tolerances of the verification.
+    pub verification: VerificationOptions,
+}
+
+impl Default for RecognitionOptions {
+    fn default() -> Self {
+        Self {
+            place_interval: 5,
+            min_inliers: 12,
+            read_only: false,
+            verification: VerificationOptions::default(),
+        }
+    }
+}
+
+/// Slope and offset of the logistic that turns effective inliers into a probability.
+const INLIER_CALIBRATION: (f32, f32) = (0.45, -3.2);
+
+/// What was seen in a frame.
+#[derive(Clone, Debug, Default)]
+pub struct Look {
+    /// ORB features.
+    pub features: Features,
+    /// What the vocabulary says of each of them.
+    pub quantised: Vec<Quantised>,
+    /// CNN descriptor, if a CNN is running.
+    pub appearance: Option<cnn::Descriptor>,
+}
+
+impl Look {
+    /// The words and nodes of `features`, with the CNN's descriptor of the same frame.
+    #[must_use]
+    pub fn new(features: Features, vocabulary: &Vocabulary, appearance: Option<cnn::Descriptor>) -> Self {
+        let quantised = features.descriptors.iter().map(|d| vocabulary.quantise(d)).collect();
+        Self { features, quantised, appearance }
+    }
+}
+
+/// A keyframe as BoW+HV needs it; its position in the list is its document in the inverted index.
+struct IndexedKeyframe {
+    place: PlaceId,
+    experience: ExperienceId,
+    groups: Vec<u32>,
+}
+
+/// The place we are in, and how many more frames join it unasked.
+struct CurrentPlace {
+    place: PlaceId,
+    frames_left: u32,
+}
+
+/// Recognises places and grows the map.
+pub struct Recogniser {
+    options: RecognitionOptions,
+    vocabulary: Arc<Vocabulary>,
+    model: Option<cnn::ModelCard>,
+    map: PlaceMap,
+    inverted_index: InvertedIndex,
+    keyframes: Vec<IndexedKeyframe>,
+    appearances: AppearanceIndex,
+    current: Option<CurrentPlace>,
+}
+
+impl Recogniser {
+    /// A recogniser over `map`; its indices are built from the map's keyframes. CNN descriptors that
+    /// another model made are left out.
+    #[must_use]
+    pub fn new(
+        vocabulary: Arc<Vocabulary>,
+        map: PlaceMap,
+        model: Option<cnn::ModelCard>,
+        options: RecognitionOptions,
+    ) -> Self {
+        let mut recogniser = Self {
+            inverted_index: InvertedIndex::new(vocabulary.word_count()),
+            options,
+            vocabulary,
+            model,
+            map,
+            keyframes: Vec::new(),
+            appearances: AppearanceIndex::default(),
+            current: None,
+        };
+        for id in 0..recogniser.map.experiences().len() as u32 {
+            recogniser.index(ExperienceId(id));
+        }
+        recogniser
+    }
+
+    /// The map.
+    #[must_use]
+    pub fn map(&self) -> &PlaceMap {
+        &self.map
+    }
+
+    /// The vocabulary.
+    #[must_use]
+    pub fn vocabulary(&self) -> &Arc<Vocabulary> {
+        &self.vocabulary
+    }
+
+    /// Whether a CNN takes part.
+    #[must_use]
+    pub fn has_cnn(&self) -> bool {
+        self.model.is_some()
+    }
+
+    /// Writes everything that was learnt to the medium.
+    ///
+    /// # Errors
+    /// If the medium fails.
+    pub fn sync(&mut self) -> Result<(), MapError> {
+        self.map.sync()
+    }
+
+    /// Recognises one frame: [`retrieve`](Self::retrieve), [`verify`](Self::verify) and
+    /// [`decide`](Self::decide) in turn.
+    ///
+    /// # Errors
+    /// If the map cannot be written.
+    pub fn recognise(
+        &mut self,
+        frame: &Frame,
+        look: &Look,
+        thumbnail_jpeg: impl FnOnce() -> Vec<u8>,
+    ) -> Result<Recognition, MapError> {
+        let mut candidates = self.retrieve(look);
+        let verification = self.verify(look, &mut candidates);
+        self.decide(frame, look, (candidates, verification), thumbnail_jpeg)
+    }
+
+    /// The places that `look` may show: those the CNN finds most alike, then those that share the most
+    /// visual words. Each CNN candidate that cannot be accepted is already marked as rejected.
+    pub fn retrieve(&mut self, look: &Look) -> Candidates {
+        let mut candidates = Candidates::new();
+        if let (Some(model), Some(descriptor)) = (&self.model, &look.appearance) {
+            let needed = model.decision.recognise_above;
+            for mut candidate in self.appearances.query(descriptor) {
+                candidate.rejected = if self.joins_unasked(candidate.place) {
+                    Some(Rejection::WithinPlaceInterval)
+                } else if candidate.score < needed {
+                    Some(Rejection::Score { got: candidate.score, needed })
+                } else {
+                    None
+                };
+                let _ = candidates.push(candidate);
+            }
+        }
+        candidates.extend(self.retrieve_by_words(look));
+        candidates
+    }
+
+    fn retrieve_by_words(&mut self, look: &Look) -> Vec<Candidate> {
+        let bow = BowVector::new(look.quantised.iter().map(|q| q.word), &self.vocabulary);
+        let keyframes = &self.keyframes;
+        let joins_unasked = self.current.as_ref().filter(|current| current.frames_left > 0);
+        let unasked_place = joins_unasked.map(|current| current.place);
+        let wanted = |document: DocumentId| Some(keyframes[document.0 as usize].place) != unasked_place;
+        let mut candidates: Vec<Candidate> = Vec::with_capacity(MAX_CANDIDATES);
+        for retrieved in self.inverted_index.query(&bow, wanted) {
+            let keyframe = &self.keyframes[retrieved.document.0 as usize];
+            let is_known = candidates.iter().any(|candidate| candidate.place == keyframe.place);
+            if is_known || candidates.len() == MAX_CANDIDATES {
+                continue;
+            }
+            candidates.push(Candidate {
+                place: keyframe.place,
+                keyframe: keyframe.experience,
+                by: Evidence::BowHv,
+                score: retrieved.score,
+                inliers: None,
+                rejected: None,
+            });
+        }
+        candidates
+    }
+
+    /// Verifies the BoW candidates, unless the CNN recognised a place; answers the geometry of the one
+    /// with the most effective inliers, if they are enough.
+    pub fn verify(&self, look: &Look, candidates: &mut Candidates) -> Option<Verification> {
+        if accepted(candidates, Evidence::Cnn).is_some() {
+            return None;
+        }
+        let groups: Vec<u32> = look.quantised.iter().map(|q| q.node.0).collect();
+        let query = MatchingView { features: &look.features, groups: &groups };
+        let mut best: Option<Verification> = None;
+        for candidate in candidates.iter_mut().filter(|candidate| candidate.by == Evidence::BowHv) {
+            let verification = self.verify_keyframe(query, candidate.keyframe);
+            let got = verification.effective_inliers;
+            candidate.inliers = Some(got);
+            if got < self.options.min_inliers {
+                candidate.rejected = Some(Rejection::Inliers { got, needed: self.options.min_inliers });
+            } else if best.as_ref().is_none_or(|best| got > best.effective_inliers) {
+                best = Some(verification);
+            }
+        }
+        best
+    }
+
+    fn verify_keyframe(&self, query: MatchingView<'_>, keyframe: ExperienceId) -> Verification {
+        let indexed = self.keyframes.binary_search_by_key(&keyframe, |indexed| indexed.experience);
+        let stored = self.map.experience(keyframe).and_then(|experience| experience.keyframe.as_ref());
+        let (Ok(indexed), Some(stored)) = (indexed, stored) else { return Verification::default() };
+        let view = MatchingView { features: &stored.features, groups: &self.keyframes[indexed].groups };
+        verify(query, view, &self.options.verification)
+    }
+
+    /// Decides from verified candidates, and adds to the map what was learnt. `thumbnail_jpeg` is asked
+    /// for only if the frame is stored.
+    ///
+    /// # Errors
+    /// If the map cannot be written.
+    pub fn decide(
+        &mut self,
+        frame: &Frame,
+        look: &Look,
+        (mut candidates, verification): (Candidates, Option<Verification>),
+        thumbnail_jpeg: impl FnOnce() -> Vec<u8>,
+    ) -> Result<Recognition, MapError> {
+        let chosen = accepted(&candidates, Evidence::Cnn).or(accepted(&candidates, Evidence::BowHv)).cloned();
+        if let Some(chosen) = &chosen {
+            mark_outdone(&mut candidates, chosen);
+        }
+        let mut recognition = self.judge(chosen, candidates, verification);
+        if self.options.read_only {
+            return Ok(recognition);
+        }
+        let is_new = recognition.decision == Decision::NewPlace;
+        let place = match recognition.place {
+            Some(place) => place,
+            None => self.map.found_place()?,
+        };
+        recognition.place = Some(place);
+        let id = self.learn(frame, look, (place, self.is_new_look(&recognition)), &thumbnail_jpeg())?;
+        if is_new {
+            recognition.keyframe = Some(id);
+        }
+        self.move_to(place, is_new);
+        Ok(recognition)
+    }
+
+    /// The decision, before anything is written. A new place has no number yet.
+    fn judge(
+        &self,
+        chosen: Option<Candidate>,
+        candidates: Candidates,
+        verification: Option<Verification>,
+    ) -> Recognition {
+        let probability = |candidate: &Candidate| self.probability(candidate);
+        let doubt = candidates.iter().map(probability).fold(0.0, f32::max);
+        let current = self.current.as_ref().filter(|current| current.frames_left > 0);
+        let (decision, by, place, confidence) = match (&chosen, current) {
+            (Some(chosen), _) => {
+                let is_cnn = chosen.by == Evidence::Cnn;
+                let decision = if is_cnn { Decision::Recognised } else { Decision::Revisited };
+                (decision, Some(chosen.by), Some(chosen.place), self.probability(chosen))
+            }
+            (None, Some(current)) => {
+                (Decision::SamePlace, Some(Evidence::PlaceInterval), Some(current.place), 1.0 - doubt)
+            }
+            (None, None) if self.options.read_only => (Decision::Unknown, None, None, 1.0 - doubt),
+            (None, None) => (Decision::NewPlace, None, None, 1.0 - doubt),
+        };
+        Recognition {
+            decision,
+            by,
+            place,
+            name: place.and_then(|place| self.map.place(place)).and_then(|place| place.name.clone()),
+            keyframe: chosen.as_ref().map(|chosen| chosen.keyframe),
+            confidence,
+            inliers: chosen.as_ref().and_then(|chosen| chosen.inliers),
+            candidates,
+            verification,
+        }
+    }
+
+    /// Probability that a candidate shows the same place; the place we are in raises no doubt.
+    fn probability(&self, candidate: &Candidate) -> f32 {
+        match (candidate.by, candidate.rejected, &self.model) {
+            (_, Some(Rejection::WithinPlaceInterval), _) => 0.0,
+            (Evidence::Cnn, _, Some(model)) => model.probability(candidate.score),
+            (Evidence::BowHv, _, _) => {
+                let (slope, offset) = INLIER_CALIBRATION;
+                let inliers = candidate.inliers.unwrap_or(0) as f32;
+                1.0 / (1.0 + (-(slope * inliers + offset)).exp())
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Whether the frame shows its place as none of the keyframes does: then it becomes one. The first
+    /// judge is the CNN; without one, a place's first frames and the verified matches are taken.
+    fn is_new_look(&self, recognition: &Recognition) -> bool {
+        let Some(model) = &self.model else { return recognition.decision != Decision::Revisited };
+        let known_by_cnn = recognition.candidates.iter().any(|candidate| {
+            candidate.by == Evidence::Cnn
+                && Some(candidate.place) == recognition.place
+                && candidate.score >= model.decision.recognise_above
+        });
+        !known_by_cnn
+    }
+
+    fn joins_unasked(&self, place: PlaceId) -> bool {
+        self.current.as_ref().is_some_and(|current| current.place == place && current.frames_left > 0)
+    }
+
+    fn move_to(&mut self, place: PlaceId, is_new: bool) {
+        let frames_left = match &self.current {
+            _ if is_new => self.options.place_interval,
+            Some(current) if current.place == place => current.frames_left.saturating_sub(1),
+            _ => 0,
+        };
+        self.current = Some(CurrentPlace { place, frames_left });
+    }
+
+    fn learn(
+        &mut self,
+        frame: &Frame,
+        look: &Look,
+        (place, is_keyframe): (PlaceId, bool),
+        thumbnail_jpeg: &[u8],
+    ) -> Result<ExperienceId, MapError> {
+        let appearance = self.model.as_ref().zip(look.appearance.as_ref()).map(|(model, descriptor)| {
+            Appearance { model: model.sha256.clone(), descriptor: descriptor.clone() }
+        });
+        let new = NewExperience {
+            frame,
+            features: &look.features,
+            appearance: appearance.as_ref(),
+            thumbnail_jpeg,
+            is_keyframe,
+        };
+        let id = self.map.add_experience(place, &new)?;
+        self.index(id);
+        Ok(id)
+    }
+
+    /// Makes an experience findable, if it is a keyframe.
+    fn index(&mut self, id: ExperienceId) {
+        let Some(experience) = self.map.experience(id) else { return };
+        let Some(keyframe) = &experience.keyframe else { return };
+        let quantised: Vec<Quantised> =
+            keyframe.features.descriptors.iter().map(|d| self.vocabulary.quantise(d)).collect();
+        self.inverted_index.add(&BowVector::new(quantised.iter().map(|q| q.word), &self.vocabulary));
+        let groups = quantised.iter().map(|q| q.node.0).collect();
+        self.keyframes.push(IndexedKeyframe { place: experience.place, experience: id, groups });
+        if let (Some(model), Some(appearance)) = (&self.model, &keyframe.appearance)
+            && appearance.model == model.sha256
+        {
+            self.appearances.add(experience.place, id, appearance.descriptor.clone());
+        }
+    }
+}
+
+/// The best candidate of this kind that nothing speaks against.
+fn accepted(candidates: &Candidates, by: Evidence) -> Option<&Candidate> {
+    let open = candidates.iter().filter(|candidate| candidate.by == by && candidate.rejected.is_none());
+    open.reduce(|best, next| {
+        let better = match by {
+            Evidence::BowHv => next.inliers > best.inliers,
+            _ => next.score > best.score,
+        };
+        if better { next } else { best }
+    })
+}
+
+/// Marks everything but the chosen one as turned down, and puts that first.
+fn mark_outdone(candidates: &mut Candidates, chosen: &Candidate) {
+    for candidate in candidates.iter_mut().filter(|candidate| *candidate != chosen) {
+        candidate.rejected.get_or_insert(Rejection::Outdone { by: chosen.place });
+    }
+    if let Some(position) = candidates.iter().position(|candidate| candidate == chosen) {
+        candidates[..=position].rotate_right(1);
+    }
+}

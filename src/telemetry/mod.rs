@@ -1,0 +1,122 @@
+//! Where recognitions go: JSON Lines for machines, rerun for people.
+
+mod json_lines;
+#[cfg(feature = "rerun")]
+mod rerun;
+
+pub use json_lines::JsonLines;
+#[cfg(feature = "rerun")]
+pub use rerun::{RerunSink, RerunTarget};
+
+use std::io;
+use std::sync::Arc;
+
+use crate::frame::Frame;
+use crate::place_map::ExperienceId;
+use crate::recognition::{Look, Recognition};
+
+/// Everything that is known about a processed frame.
+#[derive(Clone, Debug)]
+pub struct FrameRecord {
+    /// The frame.
+    pub frame: Arc<Frame>,
+    /// What was seen in it.
+    pub look: Arc<Look>,
+    /// What was decided.
+    pub recognition: Recognition,
+    /// The keyframe that was matched, if a sink asked for it.
+    pub matched: Option<MatchedKeyframe>,
+    /// Whether the CNN took part.
+    pub cnn: CnnStatus,
+    /// How long each stage took.
+    pub latency: StageLatency,
+}
+
+/// The keyframe that a frame was matched with, as a picture.
+#[derive(Clone, Debug)]
+pub struct MatchedKeyframe {
+    /// Which.
+    pub experience: ExperienceId,
+    /// Name of the frame it was.
+    pub frame_name: String,
+    /// Width of that frame in pixels; the thumbnail is smaller.
+    pub width_px: u32,
+    /// Height of that frame in pixels.
+    pub height_px: u32,
+    /// Its thumbnail.
+    pub thumbnail_jpeg: Vec<u8>,
+}
+
+/// Whether the CNN took part in a decision.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CnnStatus {
+    /// It gave a descriptor.
+    Available,
+    /// There is no ONNX Runtime or no model: BoW+HV decided alone.
+    Unavailable,
+    /// It failed on this frame.
+    Failed,
+}
+
+/// How long each stage took for one frame, in microseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StageLatency {
+    /// Reading and decoding, or rendering, the frame.
+    pub decode_us: u64,
+    /// ORB features and their words.
+    pub features_us: u64,
+    /// The CNN descriptor.
+    pub cnn_us: u64,
+    /// Finding candidates.
+    pub retrieval_us: u64,
+    /// Verifying them.
+    pub verification_us: u64,
+    /// From the decoded frame to the decision, waiting included.
+    pub total_us: u64,
+}
+
+/// Somewhere that recognitions go.
+pub trait RecognitionSink: Send {
+    /// Takes one record.
+    ///
+    /// # Errors
+    /// If the record cannot be delivered; the stream then ends.
+    fn record(&mut self, record: &FrameRecord) -> Result<(), TelemetryError>;
+
+    /// Delivers what is still held back.
+    ///
+    /// # Errors
+    /// If that fails.
+    fn finish(&mut self) -> Result<(), TelemetryError>;
+
+    /// Whether the sink shows the matched keyframe, which costs a read from the map.
+    fn shows_matched_keyframe(&self) -> bool {
+        false
+    }
+}
+
+/// Why a record could not be delivered.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TelemetryError {
+    /// Whoever read the output has gone; nothing is wrong.
+    #[error("the reader of the output has gone")]
+    ReaderGone,
+    /// The output cannot be written.
+    #[error("cannot write the output: {0}")]
+    Write(io::Error),
+    /// rerun said no.
+    #[error("rerun {target}: {reason}")]
+    Rerun {
+        /// Where recordings were to go.
+        target: String,
+        /// What rerun said, and what to do.
+        reason: String,
+    },
+}
+
+impl From<io::Error> for TelemetryError {
+    fn from(error: io::Error) -> Self {
+        if error.kind() == io::ErrorKind::BrokenPipe { Self::ReaderGone } else { Self::Write(error) }
+    }
+}
