@@ -144,7 +144,9 @@ mod tests {
         }
 
         #[test]
-        fn an_inverse_brings_every_point_back(from in oriented_point(), to in oriented_point(), x in -99.0..99.0_f32, y in -99.0..99.0_f32) {
+        fn an_inverse_brings_every_point_back(
+            from in oriented_point(), to in oriented_point(), x in -99.0..99.0_f32, y in -99.0..99.0_f32,
+        ) {
             let affine = Affine::from(Similarity::between(from, to));
             let point = Point { x, y };
             let back = affine.inverse().unwrap().apply(affine.apply(point));

@@ -25,7 +25,6 @@ use crate::vocabulary::{Quantised, Vocabulary};
 pub(super) struct Captured {
     frame: Arc<Frame>,
     decode_us: u64,
-    decoded_at: Instant,
 }
 
 /// A frame with its features and their words.
@@ -59,8 +58,7 @@ pub(super) fn capture(
                 skipped += 1;
             }
             Some(Ok(frame)) => {
-                let decoded_at = Instant::now();
-                let captured = Captured { frame: Arc::new(frame), decode_us: micros(started), decoded_at };
+                let captured = Captured { frame: Arc::new(frame), decode_us: micros(started) };
                 let heard_by_cnn = to_cnn.as_ref().is_none_or(|queue| queue.send(captured.clone()).is_ok());
                 if !heard_by_cnn || to_features.send(captured).is_err() {
                     break;
@@ -165,9 +163,8 @@ fn decide(
     let started = Instant::now();
     let mut candidates = recogniser.retrieve(&look);
     let retrieval_us = micros(started);
-    let started = Instant::now();
     let verification = recogniser.verify(&look, &mut candidates);
-    let verification_us = micros(started);
+    let verification_us = micros(started) - retrieval_us;
     let frame = captured.frame;
     let thumbnail = || thumbnail_jpeg(&frame.colour);
     let recognition = recogniser.decide(&frame, &look, (candidates, verification), thumbnail)?;
@@ -177,7 +174,7 @@ fn decide(
         cnn_us,
         retrieval_us,
         verification_us,
-        total_us: micros(captured.decoded_at),
+        total_us: captured.decode_us + features_us.max(cnn_us) + micros(started),
     };
     Ok(FrameRecord { frame, look: Arc::new(look), recognition, matched: None, cnn, latency })
 }

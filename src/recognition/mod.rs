@@ -10,6 +10,7 @@
 mod appearance;
 mod candidate;
 mod recogniser;
+mod visits;
 
 pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
 pub use recogniser::{Look, Recogniser, RecognitionOptions};

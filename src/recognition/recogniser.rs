@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::appearance::AppearanceIndex;
 use super::candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
+use super::visits::Visits;
 use super::{Decision, Recognition};
 use crate::cnn;
 use crate::feature::Features;
@@ -67,12 +68,6 @@ struct IndexedKeyframe {
     groups: Vec<u32>,
 }
 
-/// The place we are in, and how many more frames join it unasked.
-struct CurrentPlace {
-    place: PlaceId,
-    frames_left: u32,
-}
-
 /// Recognises places and grows the map.
 pub struct Recogniser {
     options: RecognitionOptions,
@@ -82,7 +77,7 @@ pub struct Recogniser {
     inverted_index: InvertedIndex,
     keyframes: Vec<IndexedKeyframe>,
     appearances: AppearanceIndex,
-    current: Option<CurrentPlace>,
+    visits: Visits,
 }
 
 impl Recogniser {
@@ -97,13 +92,13 @@ impl Recogniser {
     ) -> Self {
         let mut recogniser = Self {
             inverted_index: InvertedIndex::new(vocabulary.word_count()),
+            visits: Visits::new(options.place_interval),
             options,
             vocabulary,
             model,
             map,
             keyframes: Vec::new(),
             appearances: AppearanceIndex::default(),
-            current: None,
         };
         for id in 0..recogniser.map.experiences().len() as u32 {
             recogniser.index(ExperienceId(id));
@@ -160,7 +155,7 @@ impl Recogniser {
         if let (Some(model), Some(descriptor)) = (&self.model, &look.appearance) {
             let needed = model.decision.recognise_above;
             for mut candidate in self.appearances.query(descriptor) {
-                candidate.rejected = if self.joins_unasked(candidate.place) {
+                candidate.rejected = if self.visits.founded_within_interval() == Some(candidate.place) {
                     Some(Rejection::WithinPlaceInterval)
                 } else if candidate.score < needed {
                     Some(Rejection::Score { got: candidate.score, needed })
@@ -177,9 +172,8 @@ impl Recogniser {
     fn retrieve_by_words(&mut self, look: &Look) -> Vec<Candidate> {
         let bow = BowVector::new(look.quantised.iter().map(|q| q.word), &self.vocabulary);
         let keyframes = &self.keyframes;
-        let joins_unasked = self.current.as_ref().filter(|current| current.frames_left > 0);
-        let unasked_place = joins_unasked.map(|current| current.place);
-        let wanted = |document: DocumentId| Some(keyframes[document.0 as usize].place) != unasked_place;
+        let unasked = self.visits.founded_within_interval();
+        let wanted = |document: DocumentId| Some(keyframes[document.0 as usize].place) != unasked;
         let mut candidates: Vec<Candidate> = Vec::with_capacity(MAX_CANDIDATES);
         for retrieved in self.inverted_index.query(&bow, wanted) {
             let keyframe = &self.keyframes[retrieved.document.0 as usize];
@@ -255,11 +249,12 @@ impl Recogniser {
             None => self.map.found_place()?,
         };
         recognition.place = Some(place);
-        let id = self.learn(frame, look, (place, self.is_new_look(&recognition)), &thumbnail_jpeg())?;
+        let is_keyframe = self.visits.is_young(place) && self.is_new_look(&recognition);
+        let id = self.learn(frame, look, (place, is_keyframe), &thumbnail_jpeg())?;
         if is_new {
             recognition.keyframe = Some(id);
         }
-        self.move_to(place, is_new);
+        self.visits.move_to(place, is_new);
         Ok(recognition)
     }
 
@@ -272,15 +267,14 @@ impl Recogniser {
     ) -> Recognition {
         let probability = |candidate: &Candidate| self.probability(candidate);
         let doubt = candidates.iter().map(probability).fold(0.0, f32::max);
-        let current = self.current.as_ref().filter(|current| current.frames_left > 0);
-        let (decision, by, place, confidence) = match (&chosen, current) {
+        let (decision, by, place, confidence) = match (&chosen, self.visits.founded_within_interval()) {
             (Some(chosen), _) => {
                 let is_cnn = chosen.by == Evidence::Cnn;
                 let decision = if is_cnn { Decision::Recognised } else { Decision::Revisited };
                 (decision, Some(chosen.by), Some(chosen.place), self.probability(chosen))
             }
-            (None, Some(current)) => {
-                (Decision::SamePlace, Some(Evidence::PlaceInterval), Some(current.place), 1.0 - doubt)
+            (None, Some(place)) => {
+                (Decision::SamePlace, Some(Evidence::PlaceInterval), Some(place), 1.0 - doubt)
             }
             (None, None) if self.options.read_only => (Decision::Unknown, None, None, 1.0 - doubt),
             (None, None) => (Decision::NewPlace, None, None, 1.0 - doubt),
@@ -312,8 +306,8 @@ impl Recogniser {
         }
     }
 
-    /// Whether the frame shows its place as none of the keyframes does: then it becomes one. The first
-    /// judge is the CNN; without one, a place's first frames and the verified matches are taken.
+    /// Whether the frame shows its place as none of the keyframes does. The CNN judges; without one,
+    /// whatever BoW+HV did not match is new.
     fn is_new_look(&self, recognition: &Recognition) -> bool {
         let Some(model) = &self.model else { return recognition.decision != Decision::Revisited };
         let known_by_cnn = recognition.candidates.iter().any(|candidate| {
@@ -322,19 +316,6 @@ impl Recogniser {
                 && candidate.score >= model.decision.recognise_above
         });
         !known_by_cnn
-    }
-
-    fn joins_unasked(&self, place: PlaceId) -> bool {
-        self.current.as_ref().is_some_and(|current| current.place == place && current.frames_left > 0)
-    }
-
-    fn move_to(&mut self, place: PlaceId, is_new: bool) {
-        let frames_left = match &self.current {
-            _ if is_new => self.options.place_interval,
-            Some(current) if current.place == place => current.frames_left.saturating_sub(1),
-            _ => 0,
-        };
-        self.current = Some(CurrentPlace { place, frames_left });
     }
 
     fn learn(
@@ -395,5 +376,195 @@ fn mark_outdone(candidates: &mut Candidates, chosen: &Candidate) {
     }
     if let Some(position) = candidates.iter().position(|candidate| candidate == chosen) {
         candidates[..=position].rotate_right(1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::feature::{Descriptor, Keypoint};
+    use crate::geometry::Point;
+    use crate::raster::{GreyImage, RgbImage};
+    use crate::vocabulary::{TrainingOptions, train};
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    const DIMENSIONS: usize = 16;
+
+    /// The features that are seen at a made-up place.
+    fn features(place: u64) -> Features {
+        let mut random = Pcg64::seed_from_u64(place);
+        let mut features = Features { width_px: 640, height_px: 480, ..Features::default() };
+        for _ in 0..200 {
+            let point = Point { x: random.random_range(0.0..640.0), y: random.random_range(0.0..480.0) };
+            features.keypoints.push(Keypoint { point, scale: 1.0, angle_radians: 0.0, response: 20 });
+            features.descriptors.push(Descriptor(random.random()));
+        }
+        features
+    }
+
+    /// A CNN descriptor that has nothing in common with that of another look below [`DIMENSIONS`].
+    fn appearance(look: usize) -> cnn::Descriptor {
+        cnn::Descriptor::from_values((0..DIMENSIONS).map(|i| f32::from(i == look)).collect()).unwrap()
+    }
+
+    fn card() -> cnn::ModelCard {
+        let text = "
+            name = 'test'\nversion = '1'\ndescription = ''\nlicence = ''\nsource = ''\nrecipe = ''
+            sha256 = '0000000000000000000000000000000000000000000000000000000000000000'
+            input = { name = 'image', width_px = 32, height_px = 32, mean = 0.0, scale = 1.0 }
+            descriptor = { name = 'descriptor', dimensions = 16 }
+            decision = { recognise_above = 0.8, calibration_slope = 20.0, calibration_offset = -15.0 }
+            training = { data = '' }\nmetrics = {}";
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("card.toml");
+        std::fs::write(&path, text).unwrap();
+        cnn::ModelCard::read(&path).unwrap()
+    }
+
+    /// No frame joins a place unasked.
+    fn no_interval() -> RecognitionOptions {
+        RecognitionOptions { place_interval: 0, ..RecognitionOptions::default() }
+    }
+
+    /// A robot in a made-up world.
+    struct Robot {
+        recogniser: Recogniser,
+        frames: u64,
+    }
+
+    impl Robot {
+        fn new(model: Option<cnn::ModelCard>, options: RecognitionOptions, map: PlaceMap) -> Self {
+            let images: Vec<Vec<Descriptor>> = (0..8).map(|place| features(place).descriptors).collect();
+            let vocabulary = train(&images, TrainingOptions { branching: 6, depth: 3, seed: 1 }).unwrap();
+            Self { recogniser: Recogniser::new(Arc::new(vocabulary), map, model, options), frames: 0 }
+        }
+
+        fn with_cnn() -> Self {
+            Self::new(Some(card()), no_interval(), PlaceMap::in_memory().unwrap())
+        }
+
+        fn without_cnn() -> Self {
+            Self::new(None, no_interval(), PlaceMap::in_memory().unwrap())
+        }
+
+        /// Looks at the features of one place and the CNN descriptor of a look, if there is a CNN.
+        fn see(&mut self, place: u64, look: usize) -> Recognition {
+            let frame = Frame {
+                index: self.frames,
+                capture_nanos: 0,
+                name: String::new(),
+                colour: RgbImage::new(1, 1),
+                grey: GreyImage::new(1, 1),
+                jpeg: None,
+                pose: None,
+                true_place: None,
+            };
+            self.frames += 1;
+            let appearance = self.recogniser.has_cnn().then(|| appearance(look));
+            let look = Look::new(features(place), &self.recogniser.vocabulary, appearance);
+            self.recogniser.recognise(&frame, &look, Vec::new).unwrap()
+        }
+
+        /// Goes to a place that no test looks at.
+        fn leave(&mut self) {
+            self.see(7, 15);
+        }
+
+        fn keyframes(&self) -> usize {
+            self.recogniser.map().summary().keyframes
+        }
+    }
+
+    #[test]
+    fn the_first_frame_founds_a_place_and_the_next_ones_join_it() {
+        let options = RecognitionOptions::default();
+        let mut robot = Robot::new(Some(card()), options, PlaceMap::in_memory().unwrap());
+        assert_eq!(robot.see(0, 0).decision, Decision::NewPlace);
+        for look in 1..=5 {
+            let joined = robot.see(look as u64, look);
+            assert_eq!((joined.decision, joined.place), (Decision::SamePlace, Some(PlaceId(0))));
+        }
+        assert_eq!(robot.see(6, 6).decision, Decision::NewPlace);
+    }
+
+    #[test]
+    fn a_known_look_is_recognised_by_the_cnn_before_anything_is_verified() {
+        let mut robot = Robot::with_cnn();
+        robot.see(0, 0);
+        robot.leave();
+        let answer = robot.see(3, 0);
+        assert_eq!((answer.decision, answer.place), (Decision::Recognised, Some(PlaceId(0))));
+        assert_eq!((answer.by, answer.inliers), (Some(Evidence::Cnn), None));
+        assert!(answer.confidence > 0.99, "{}", answer.confidence);
+        assert_eq!(answer.candidates[0].rejected, None);
+    }
+
+    #[test]
+    fn a_look_that_the_cnn_does_not_know_is_revisited_by_geometry_and_known_from_then_on() {
+        let mut robot = Robot::with_cnn();
+        robot.see(0, 0);
+        robot.leave();
+        let answer = robot.see(0, 9);
+        assert_eq!((answer.decision, answer.place), (Decision::Revisited, Some(PlaceId(0))));
+        assert!(answer.inliers >= Some(100) && answer.verification.is_some(), "{:?}", answer.inliers);
+        let cnn = answer.candidates.iter().find(|c| c.by == Evidence::Cnn && c.place == PlaceId(0)).unwrap();
+        assert!(cnn.rejected.unwrap().to_string().ends_with("< 0.800"));
+        robot.leave();
+        assert_eq!(robot.see(5, 9).decision, Decision::Recognised);
+    }
+
+    #[test]
+    fn without_a_cnn_geometry_decides_alone() {
+        let mut robot = Robot::without_cnn();
+        robot.see(0, 0);
+        robot.leave();
+        assert_eq!(robot.see(0, 0).place, Some(PlaceId(0)));
+        robot.leave();
+        let elsewhere = robot.see(4, 0);
+        assert_eq!(elsewhere.decision, Decision::NewPlace);
+        assert!(elsewhere.candidates.iter().all(|candidate| candidate.rejected.is_some()));
+    }
+
+    #[test]
+    fn a_view_that_is_known_already_becomes_no_keyframe() {
+        let mut robot = Robot::with_cnn();
+        robot.see(0, 0);
+        robot.leave();
+        let before = robot.keyframes();
+        robot.see(0, 0);
+        assert_eq!(robot.keyframes(), before);
+        assert_eq!(robot.recogniser.map().places()[0].experiences.len(), 2);
+    }
+
+    #[test]
+    fn a_read_only_map_answers_unknown_and_stays_as_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut robot = Robot::new(Some(card()), no_interval(), PlaceMap::open(folder.path()).unwrap());
+        robot.see(0, 0);
+        robot.leave();
+        let before = robot.recogniser.map().summary();
+        drop(robot);
+        let options = RecognitionOptions { read_only: true, ..no_interval() };
+        let map = PlaceMap::open_read_only(folder.path()).unwrap();
+        let mut robot = Robot::new(Some(card()), options, map);
+        assert_eq!(robot.see(0, 0).place, Some(PlaceId(0)));
+        let unknown = robot.see(4, 4);
+        assert_eq!((unknown.decision, unknown.place, unknown.keyframe), (Decision::Unknown, None, None));
+        assert_eq!(robot.recogniser.map().summary(), before);
+    }
+
+    #[test]
+    fn descriptors_of_another_model_are_never_compared() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut robot = Robot::new(Some(card()), no_interval(), PlaceMap::open(folder.path()).unwrap());
+        robot.see(0, 0);
+        drop(robot);
+        let other = cnn::ModelCard { sha256: "f".repeat(64), ..card() };
+        let map = PlaceMap::open(folder.path()).unwrap();
+        let mut robot = Robot::new(Some(other), no_interval(), map);
+        let answer = robot.see(0, 0);
+        assert_eq!(answer.decision, Decision::Revisited, "found by BoW+HV alone");
+        assert!(answer.candidates.iter().all(|candidate| candidate.by == Evidence::BowHv));
     }
 }

@@ -198,7 +198,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn damaged_jpegs_never_panic(position in any::<prop::sample::Index>(), byte in any::<u8>(), cut in any::<prop::sample::Index>()) {
+        fn damaged_jpegs_never_panic(
+            position in any::<prop::sample::Index>(), byte in any::<u8>(), cut in any::<prop::sample::Index>(),
+        ) {
             let mut bytes = jpeg(&gradient(64, 48));
             let position = position.index(bytes.len());
             bytes[position] = byte;

@@ -181,7 +181,8 @@ mod tests {
             total_us: 2600,
         };
         let cnn = CnnStatus::Available;
-        FrameRecord { frame: Arc::new(frame), look: Arc::new(Look::default()), recognition, matched: None, cnn, latency }
+        let (frame, look) = (Arc::new(frame), Arc::new(Look::default()));
+        FrameRecord { frame, look, recognition, matched: None, cnn, latency }
     }
 
     fn line(record: &FrameRecord) -> String {

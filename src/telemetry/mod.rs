@@ -71,7 +71,8 @@ pub struct StageLatency {
     pub retrieval_us: u64,
     /// Verifying them.
     pub verification_us: u64,
-    /// From the decoded frame to the decision, waiting included.
+    /// The longest way through: decoding, then features or CNN, whichever takes longer, then the
+    /// decision with its storing. Waiting in queues is left out.
     pub total_us: u64,
 }
 

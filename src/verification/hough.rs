@@ -125,7 +125,9 @@ mod tests {
     proptest! {
         #[test]
         fn scores_equal_equation_4(
-            raw in proptest::collection::vec((-400.0..400.0_f32, -400.0..400.0_f32, 0.2..5.0_f32, -3.1..3.1_f32), 1..40),
+            raw in proptest::collection::vec(
+                (-400.0..400.0_f32, -400.0..400.0_f32, 0.2..5.0_f32, -3.1..3.1_f32), 1..40,
+            ),
         ) {
             let options = HoughOptions::default();
             let votes: Vec<(Bin, Similarity)> = raw.iter().map(|&(x, y, s, r)| {

@@ -1,0 +1,35 @@
+# Everything a newcomer needs: `make demo` and `make test`. Both install what is missing and say so.
+
+CARGO ?= cargo
+# Cameras need libclang to build, so plain cargo leaves them out and every target here puts them in.
+FEATURES ?= v4l
+
+.PHONY: help demo test test-data lint bench deps system-deps
+
+help: ## What can be made
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+demo: deps ## Install what is missing, build, and run the main job on a synthetic drive
+	$(CARGO) run --release --features $(FEATURES) -- demo
+
+test: deps ## All tests that need no data from outside
+	$(CARGO) test --no-default-features --lib
+	$(CARGO) test --release --features $(FEATURES)
+
+test-data: deps ## Tests on real sequences, found by LOCI_DATA
+	$(CARGO) test --release --features $(FEATURES) --test loci -- --ignored real_
+
+lint: ## Formatting, clippy, licences and advisories, documentation
+	$(CARGO) fmt --check
+	$(CARGO) clippy --all-targets --features $(FEATURES) -- -D warnings
+	$(CARGO) deny --log-level error check
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps --features $(FEATURES)
+
+bench: ## Criterion benches of the stages
+	$(CARGO) bench --no-default-features
+
+deps: system-deps ## ONNX Runtime and what the build needs
+	@deploy/fetch-onnxruntime.sh
+
+system-deps: ## Debian or Ubuntu packages that are missing
+	@deploy/install-packages.sh libclang-dev python3 python3-pip

@@ -1,0 +1,114 @@
+//! What a person at the terminal sees of a stream: a line a frame, a progress bar, a summary.
+
+use std::io::{self, IsTerminal, Write};
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use loci::cnn::CnnError;
+use loci::pipeline::{RunSummary, Watcher};
+use loci::recognition::Decision;
+use loci::source::SourceError;
+use loci::telemetry::{FrameRecord, RecognitionSink, TelemetryError};
+
+/// Writes a line a frame for people.
+pub(super) struct HumanLines<W>(pub(super) W);
+
+impl<W: Write + Send> RecognitionSink for HumanLines<W> {
+    fn record(&mut self, record: &FrameRecord) -> Result<(), TelemetryError> {
+        let recognition = &record.recognition;
+        let place = recognition.place.map_or("-".to_owned(), |place| place.0.to_string());
+        let name = recognition.name.as_deref().unwrap_or_default();
+        let evidence = match (recognition.by, recognition.inliers) {
+            (Some(by), Some(inliers)) => format!("{} {inliers} inliers", by.as_str()),
+            (Some(by), None) => by.as_str().to_owned(),
+            (None, _) => String::new(),
+        };
+        let line = format!(
+            "{:>6}  {:<20}  {:<10}  place {place:>4} {name}  {:.2}  {evidence}",
+            record.frame.index,
+            record.frame.name,
+            recognition.decision.as_str(),
+            recognition.confidence,
+        );
+        Ok(writeln!(self.0, "{}", line.trim_end())?)
+    }
+
+    fn finish(&mut self) -> Result<(), TelemetryError> {
+        Ok(self.0.flush()?)
+    }
+}
+
+/// Reports on stderr what happens while a stream runs.
+pub(super) struct Reporter {
+    progress: ProgressBar,
+}
+
+impl Reporter {
+    /// A reporter with a progress bar over `frames`, if stderr is a terminal that nothing else fills.
+    pub(super) fn new(frames: Option<u64>, lines_on_stdout: bool) -> Self {
+        let hidden = lines_on_stdout && io::stdout().is_terminal();
+        let target = if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        Self { progress: progress_bar(frames, target) }
+    }
+
+    /// Clears the progress bar.
+    pub(super) fn finish(&self) {
+        self.progress.finish_and_clear();
+    }
+}
+
+/// A bar with count and remaining time; a spinner where the length is unknown.
+pub(super) fn progress_bar(length: Option<u64>, target: ProgressDrawTarget) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(length, target);
+    // The template is constant and tried by every run with a terminal.
+    if let Ok(style) = ProgressStyle::with_template("{wide_bar} {pos}/{len} frames, {eta} left") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(250));
+    bar
+}
+
+impl Watcher for Reporter {
+    fn skipped(&self, error: &SourceError) {
+        self.progress.suspend(|| eprintln!("loci: skipped: {error}"));
+        self.progress.inc(1);
+    }
+
+    fn cnn_failed(&self, frame_name: &str, error: &CnnError) {
+        self.progress.suspend(|| eprintln!("loci: {frame_name}: {error}; decided by BoW+HV alone"));
+    }
+
+    fn decided(&self, _: &FrameRecord) {
+        self.progress.inc(1);
+    }
+}
+
+/// The summary of a run, for people.
+pub(super) fn summary_text(summary: &RunSummary) -> String {
+    let count = |decision| summary.decided(decision);
+    let mut text = format!(
+        "{} frames: {} recognised by the CNN, {} revisited by BoW+HV, {} within a place just founded, \
+         {} new places, {} unknown",
+        summary.frames,
+        count(Decision::Recognised),
+        count(Decision::Revisited),
+        count(Decision::SamePlace),
+        count(Decision::NewPlace),
+        count(Decision::Unknown),
+    );
+    if summary.lost_something() {
+        text += &format!("\n{} frames skipped, {} without the CNN's answer", summary.skipped, summary.cnn_failures);
+    }
+    if let Some(map) = &summary.map {
+        let mib = map.journal_bytes as f64 / f64::from(1 << 20);
+        text += &format!(
+            "\nmap: {} places, {} experiences ({} keyframes), {mib:.1} MiB",
+            map.places, map.experiences, map.keyframes
+        );
+    }
+    text += "\nmedian time a frame:";
+    for stage in summary.latency() {
+        text += &format!(" {} {:.1} ms", stage.stage, stage.p50_us as f64 / 1e3);
+    }
+    text
+}

@@ -1,0 +1,128 @@
+//! `loci doctor`: what works on this computer, what is missing, and the fix.
+
+use std::path::Path;
+
+use clap::Args;
+use loci::cnn::{DescriptorModel, OnnxRuntime};
+use loci::place_map::PlaceMap;
+use loci::raster::RgbImage;
+use loci::vocabulary::Vocabulary;
+use serde::Serialize;
+
+use super::settings::StreamSettings;
+use super::{Outcome, assets};
+
+/// Arguments of `loci doctor`.
+#[derive(Args)]
+#[command(after_help = "Example:\n  loci doctor --map maps/site")]
+pub(super) struct DoctorArguments {
+    #[command(flatten)]
+    settings: StreamSettings,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Health {
+    Ok,
+    Warn,
+    Fail,
+}
+
+#[derive(Serialize)]
+struct Finding {
+    part: &'static str,
+    health: Health,
+    detail: String,
+}
+
+impl Finding {
+    /// A part that works, or that fails with the reason and the fix in the error.
+    fn of(part: &'static str, tried: anyhow::Result<String>) -> Self {
+        match tried {
+            Ok(detail) => Self { part, health: Health::Ok, detail },
+            Err(error) => Self { part, health: Health::Fail, detail: format!("{error:#}") },
+        }
+    }
+}
+
+/// Tries every part and prints a line for each.
+pub(super) fn run(arguments: DoctorArguments) -> anyhow::Result<Outcome> {
+    let findings = findings(&arguments.settings);
+    if arguments.json {
+        println!("{}", serde_json::to_string(&findings)?);
+    } else {
+        for finding in &findings {
+            let health = match finding.health {
+                Health::Ok => "ok",
+                Health::Warn => "warn",
+                Health::Fail => "FAIL",
+            };
+            println!("{health:<5} {:<13} {}", finding.part, finding.detail);
+        }
+    }
+    let failed = findings.iter().filter(|finding| finding.health == Health::Fail).count();
+    anyhow::ensure!(failed == 0, "{failed} of {} parts do not work", findings.len());
+    let warned = findings.iter().any(|finding| finding.health == Health::Warn);
+    Ok(if warned { Outcome::Lost } else { Outcome::Done })
+}
+
+fn findings(settings: &StreamSettings) -> Vec<Finding> {
+    let mut findings = vec![Finding::of("vocabulary", vocabulary(settings))];
+    // Without a CNN the runtime goes on with BoW+HV: that is a warning, a broken model is a failure.
+    match OnnxRuntime::open(settings.onnxruntime.as_deref()) {
+        Ok(runtime) => {
+            let detail = format!("{} at {}", runtime.version(), runtime.path().display());
+            findings.push(Finding { part: "onnx runtime", health: Health::Ok, detail });
+            findings.push(Finding::of("model", model(settings, &runtime)));
+        }
+        Err(error) => {
+            let health = if settings.onnxruntime.is_some() { Health::Fail } else { Health::Warn };
+            findings.push(Finding { part: "onnx runtime", health, detail: error.to_string() });
+        }
+    }
+    findings.extend(settings.map.as_deref().map(|folder| Finding::of("map", map(folder))));
+    findings.push(rerun());
+    findings
+}
+
+fn vocabulary(settings: &StreamSettings) -> anyhow::Result<String> {
+    let path = assets::find(settings.vocab.as_deref(), assets::VOCABULARY, "--vocab")?;
+    let vocabulary = Vocabulary::open(&path)?;
+    vocabulary.verify(&path)?;
+    Ok(format!("{} words in {}", vocabulary.word_count(), path.display()))
+}
+
+/// Opens the model and asks it for a descriptor.
+fn model(settings: &StreamSettings, runtime: &OnnxRuntime) -> anyhow::Result<String> {
+    let folder = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
+    let mut model = DescriptorModel::open(&folder, runtime, 1)?;
+    let grey = vec![128; 64 * 64 * 3];
+    let image = RgbImage::from_pixels(64, 64, grey).unwrap_or_else(|| RgbImage::new(64, 64));
+    let descriptor = model.describe(&image)?;
+    Ok(format!("{} answers with {} values", model.card().name, descriptor.dimensions()))
+}
+
+fn map(folder: &Path) -> anyhow::Result<String> {
+    let summary = PlaceMap::open_read_only(folder)?.summary();
+    Ok(format!("{} places, {} experiences in {}", summary.places, summary.experiences, folder.display()))
+}
+
+fn rerun() -> Finding {
+    let part = "rerun";
+    if !cfg!(feature = "rerun") {
+        let detail = "not in this build; build with `--features rerun`".to_owned();
+        return Finding { part, health: Health::Warn, detail };
+    }
+    let on_path = std::env::var_os("PATH").is_some_and(|path| {
+        std::env::split_paths(&path).any(|folder| folder.join("rerun").is_file())
+    });
+    let detail = if on_path {
+        "recording and viewer".to_owned()
+    } else {
+        "recording works; for the viewer: pip install rerun-sdk==0.36.3".to_owned()
+    };
+    Finding { part, health: Health::Ok, detail }
+}

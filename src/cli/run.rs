@@ -1,0 +1,53 @@
+//! `loci run`: the main job.
+
+use std::io;
+use std::path::PathBuf;
+
+use clap::Args;
+use loci::telemetry::{JsonLines, RecognitionSink};
+
+use super::console::{HumanLines, Reporter, summary_text};
+use super::settings::StreamSettings;
+use super::{Outcome, stream};
+
+/// Arguments of `loci run`.
+#[derive(Args)]
+#[command(after_help = "Examples:\n  \
+    loci run recordings/monday --map maps/site\n  \
+    loci run recordings/tuesday --map maps/site --read-only --json\n  \
+    loci run 'synthetic:street?laps=3&light=noon,dusk,night' --rerun save=street.rrd")]
+pub(super) struct RunArguments {
+    /// A folder of images, or synthetic:WORLD?laps=2&light=noon,dusk&seed=7 (WORLD: street, corridor)
+    source: String,
+    #[command(flatten)]
+    settings: StreamSettings,
+    /// Read settings from this TOML file; its keys are the flags' names
+    #[arg(long, env = "LOCI_CONFIG", value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print a JSON object a frame instead of a line for people
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the stream and says what came of it.
+pub(super) fn run(arguments: RunArguments) -> anyhow::Result<Outcome> {
+    let settings = arguments.settings.completed(arguments.config.as_deref())?;
+    let lines: Box<dyn RecognitionSink> = if arguments.json {
+        Box::new(JsonLines::new(io::stdout()))
+    } else {
+        Box::new(HumanLines(io::stdout()))
+    };
+    let stop = stream::stop_flag()?;
+    let pipeline = stream::pipeline(&arguments.source, &settings, vec![lines])?;
+    if settings.map.is_none() {
+        eprintln!("loci: no --map: what is learnt is gone at the end");
+    }
+    let reporter = Reporter::new(pipeline.source.frame_count(), true);
+    let summary = pipeline.run(&stop, &reporter)?;
+    reporter.finish();
+    eprintln!("{}", summary_text(&summary));
+    if summary.frames == 0 && summary.skipped > 0 {
+        anyhow::bail!("none of the {} frames could be read", summary.skipped);
+    }
+    Ok(if summary.lost_something() { Outcome::Lost } else { Outcome::Done })
+}

@@ -1,0 +1,105 @@
+//! Settings of a stream: flag > `LOCI_…` variable > `--config` file > default.
+//!
+//! Flags and variables come through clap. The file has the same keys as the flags have names, and an
+//! unknown key is refused.
+
+use std::fs;
+use std::num::NonZero;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Deserialize;
+
+use super::WrongArgument;
+
+/// Settings of a stream; what is not set anywhere is `None`.
+#[derive(Args, Clone, Debug, Default, Deserialize, PartialEq)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub(super) struct StreamSettings {
+    /// Folder of the map; made if need be. Without it the map is gone at the end
+    #[arg(long, env = "LOCI_MAP", value_name = "DIR")]
+    pub(super) map: Option<PathBuf>,
+    /// Visual vocabulary [default: vocab/default.lvoc]
+    #[arg(long, env = "LOCI_VOCAB", value_name = "FILE")]
+    pub(super) vocab: Option<PathBuf>,
+    /// Folder of the CNN with its card [default: models/efficientnet-lite0]
+    #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]
+    pub(super) model: Option<PathBuf>,
+    /// ONNX Runtime library [default: looked for; `loci doctor` says where]
+    #[arg(long, env = "LOCI_ONNXRUNTIME", value_name = "PATH")]
+    pub(super) onnxruntime: Option<PathBuf>,
+    /// Process every N-th frame [default: 1]
+    #[arg(long, env = "LOCI_SAMPLE_INTERVAL", value_name = "N")]
+    pub(super) sample_interval: Option<NonZero<u32>>,
+    /// δ_ep: processed frames that join a place unasked after its founding [default: 5]
+    #[arg(long, env = "LOCI_PLACE_INTERVAL", value_name = "N")]
+    pub(super) place_interval: Option<u32>,
+    /// Localise only, never change the map
+    #[arg(long, env = "LOCI_READ_ONLY", num_args = 0..=1, require_equals = true,
+          default_missing_value = "true", value_name = "BOOL")]
+    pub(super) read_only: Option<bool>,
+    /// Show it in rerun: off, spawn, connect=ADDR, serve[=ADDR] or save=FILE.rrd [default: off]
+    #[arg(long, env = "LOCI_RERUN", value_name = "TARGET")]
+    pub(super) rerun: Option<String>,
+    /// Threads of the CNN [default: 1]
+    #[arg(long, env = "LOCI_THREADS", value_name = "N")]
+    pub(super) threads: Option<NonZero<u32>>,
+}
+
+impl StreamSettings {
+    /// These settings, completed from the file at `config`, if there is one.
+    pub(super) fn completed(self, config: Option<&Path>) -> anyhow::Result<Self> {
+        let Some(path) = config else { return Ok(self) };
+        let text = fs::read_to_string(path)
+            .map_err(|error| WrongArgument(format!("cannot read --config {}: {error}", path.display())))?;
+        let file: Self = toml::from_str(&text)
+            .map_err(|error| WrongArgument(format!("{}: {}", path.display(), one_line(&error))))?;
+        Ok(self.or(file))
+    }
+
+    fn or(self, other: Self) -> Self {
+        Self {
+            map: self.map.or(other.map),
+            vocab: self.vocab.or(other.vocab),
+            model: self.model.or(other.model),
+            onnxruntime: self.onnxruntime.or(other.onnxruntime),
+            sample_interval: self.sample_interval.or(other.sample_interval),
+            place_interval: self.place_interval.or(other.place_interval),
+            read_only: self.read_only.or(other.read_only),
+            rerun: self.rerun.or(other.rerun),
+            threads: self.threads.or(other.threads),
+        }
+    }
+}
+
+fn one_line(error: &toml::de::Error) -> String {
+    error.message().split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn completed(flags: StreamSettings, file: &str) -> anyhow::Result<StreamSettings> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("loci.toml");
+        fs::write(&path, file).unwrap();
+        flags.completed(Some(&path))
+    }
+
+    #[test]
+    fn a_flag_wins_over_the_file_and_the_file_over_nothing() {
+        let flags = StreamSettings { place_interval: Some(9), ..StreamSettings::default() };
+        let settings = completed(flags, "place-interval = 2\nthreads = 2\nread-only = true").unwrap();
+        assert_eq!(settings.place_interval, Some(9));
+        assert_eq!(settings.threads, NonZero::new(2));
+        assert_eq!(settings.read_only, Some(true));
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused_by_name() {
+        let error = completed(StreamSettings::default(), "place-intervall = 2").unwrap_err();
+        assert!(error.is::<WrongArgument>());
+        assert!(error.to_string().contains("unknown field `place-intervall`"), "{error}");
+    }
+}

@@ -1,0 +1,116 @@
+//! A stream put together from settings: vocabulary, CNN, map and sinks.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Context;
+use loci::cnn::{CnnError, DescriptorModel, ModelCard, OnnxRuntime};
+use loci::feature::{OrbExtractor, OrbOptions};
+use loci::pipeline::Pipeline;
+use loci::place_map::PlaceMap;
+use loci::recognition::{Recogniser, RecognitionOptions};
+use loci::source;
+use loci::telemetry::RecognitionSink;
+use loci::vocabulary::Vocabulary;
+
+use super::settings::StreamSettings;
+use super::{WrongArgument, assets};
+
+/// Puts the stream together. Where there is no ONNX Runtime it says so and does without the CNN.
+pub(super) fn pipeline(
+    source: &str,
+    settings: &StreamSettings,
+    mut sinks: Vec<Box<dyn RecognitionSink>>,
+) -> anyhow::Result<Pipeline> {
+    let rerun = rerun_sink(settings.rerun.as_deref())?;
+    let sample_interval = settings.sample_interval.map_or(1, |interval| u64::from(interval.get()));
+    let source = source::open(source, sample_interval)?;
+    let vocabulary = Vocabulary::open(&assets::find(settings.vocab.as_deref(), assets::VOCABULARY, "--vocab")?)?;
+    let model = open_cnn(settings)?;
+    let options = recognition_options(settings);
+    let map = match (&settings.map, options.read_only) {
+        (Some(folder), true) => PlaceMap::open_read_only(folder)?,
+        (Some(folder), false) => PlaceMap::open(folder)?,
+        (None, true) => return Err(WrongArgument("--read-only needs a --map to localise in".into()).into()),
+        (None, false) => PlaceMap::in_memory()?,
+    };
+    report_condition(&map, model.as_ref().map(DescriptorModel::card));
+    let card = model.as_ref().map(|model| model.card().clone());
+    let recogniser = Recogniser::new(Arc::new(vocabulary), map, card, options);
+    sinks.extend(rerun);
+    Ok(Pipeline { source, extractor: OrbExtractor::new(OrbOptions::default()), model, recogniser, sinks })
+}
+
+fn recognition_options(settings: &StreamSettings) -> RecognitionOptions {
+    let defaults = RecognitionOptions::default();
+    RecognitionOptions {
+        place_interval: settings.place_interval.unwrap_or(defaults.place_interval),
+        read_only: settings.read_only.unwrap_or(defaults.read_only),
+        ..defaults
+    }
+}
+
+/// The CNN of `settings`; `None`, said loudly, where no ONNX Runtime can run it.
+pub(super) fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<DescriptorModel>> {
+    let folder = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
+    let threads = settings.threads.map_or(1, |threads| threads.get() as usize);
+    match open_model(&folder, settings.onnxruntime.as_deref(), threads) {
+        Ok(model) => Ok(Some(model)),
+        Err(error @ (CnnError::NotBuilt | CnnError::RuntimeNotFound { .. })) => {
+            eprintln!("loci: NO CNN, going on with BoW+HV alone: {error}");
+            Ok(None)
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn open_model(folder: &Path, runtime: Option<&Path>, threads: usize) -> Result<DescriptorModel, CnnError> {
+    DescriptorModel::open(folder, &OnnxRuntime::open(runtime)?, threads)
+}
+
+/// Says what a user would want to know of a map before a run.
+fn report_condition(map: &PlaceMap, card: Option<&ModelCard>) {
+    let summary = map.summary();
+    if summary.torn_bytes > 0 {
+        eprintln!("loci: the map's last record was torn ({} bytes) and is left out", summary.torn_bytes);
+    }
+    if let Some(card) = card
+        && summary.models.iter().any(|model| *model != card.sha256)
+    {
+        eprintln!(
+            "loci: the map has CNN descriptors of another model than {}; their keyframes are found by BoW+HV alone",
+            card.name
+        );
+    }
+}
+
+#[cfg(feature = "rerun")]
+fn rerun_sink(target: Option<&str>) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
+    use loci::telemetry::{RerunSink, RerunTarget};
+    let target: RerunTarget = target.unwrap_or("off").parse().map_err(|error| WrongArgument(format!("{error}")))?;
+    if target == RerunTarget::Off {
+        return Ok(None);
+    }
+    Ok(Some(Box::new(RerunSink::open(&target)?)))
+}
+
+#[cfg(not(feature = "rerun"))]
+fn rerun_sink(target: Option<&str>) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
+    match target.unwrap_or("off") {
+        "off" => Ok(None),
+        _ => Err(WrongArgument("this build has no rerun; build with `--features rerun`".to_owned()).into()),
+    }
+}
+
+/// A flag that Ctrl-C and SIGTERM set. The second one ends the program at once.
+pub(super) fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
+    use signal_hook::consts::{SIGINT, SIGTERM};
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop))
+            .and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)))
+            .context("cannot listen for Ctrl-C")?;
+    }
+    Ok(stop)
+}

@@ -1,0 +1,45 @@
+//! Stands in for `engine` in a build without the feature `cnn`: nothing can be loaded, so nothing else is reached.
+
+use std::path::Path;
+
+use super::error::CnnError;
+use super::signature::Port;
+
+/// Never exists in this build.
+#[derive(Clone, Debug)]
+pub(super) struct Library(());
+
+/// This build has no CNN.
+pub(super) fn built() -> Result<(), CnnError> {
+    Err(CnnError::NotBuilt)
+}
+
+pub(super) fn load(_: &Path) -> Result<Library, CnnError> {
+    Err(CnnError::NotBuilt)
+}
+
+pub(super) fn sha256_hex(_: &[u8]) -> String {
+    String::new()
+}
+
+/// Never exists in this build.
+#[derive(Debug)]
+pub(super) struct Network(());
+
+impl Network {
+    pub(super) fn from_onnx(_: &Library, _: &[u8], _: usize) -> Result<Self, String> {
+        Err(CnnError::NotBuilt.to_string())
+    }
+
+    pub(super) fn inputs(&self) -> Vec<Port> {
+        Vec::new()
+    }
+
+    pub(super) fn outputs(&self) -> Vec<Port> {
+        Vec::new()
+    }
+
+    pub(super) fn run(&mut self, _: (&str, [usize; 4], &[f32]), _: &str) -> Result<Vec<f32>, String> {
+        Err(CnnError::NotBuilt.to_string())
+    }
+}

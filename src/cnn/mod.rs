@@ -1,0 +1,36 @@
+//! The CNN: one image in, one descriptor of the place out.
+//!
+//! A model is a folder with `model.onnx` and `card.toml` ([`ModelCard`]). ONNX Runtime executes it; the
+//! library is not linked but looked for on the computer ([`find_runtime`]), checked before a line of it
+//! runs, and loaded ([`OnnxRuntime`]). [`DescriptorModel`] then turns an [`RgbImage`] into a
+//! [`Descriptor`]: resize and normalise ([`Preprocessor`]), run, L2-normalise. Two descriptors are compared
+//! by their cosine, and [`ModelCard::probability`] says how likely that cosine means the same place.
+//!
+//! Everything here compiles without the feature `cnn` too; then opening a runtime answers
+//! [`CnnError::NotBuilt`], so that callers need no conditional code.
+//!
+//! [`RgbImage`]: crate::raster::RgbImage
+
+mod card;
+mod descriptor;
+#[cfg(feature = "cnn")]
+mod engine;
+#[cfg(not(feature = "cnn"))]
+#[path = "engine_absent.rs"]
+mod engine;
+mod error;
+mod library;
+mod model;
+mod preprocess;
+mod runtime;
+mod search;
+mod signature;
+
+pub use card::{DecisionCard, DescriptorCard, InputCard, ModelCard, TrainingCard};
+pub use descriptor::Descriptor;
+pub use error::CnnError;
+pub use library::{LibraryFault, OLDEST_RUNTIME, RuntimeVersion};
+pub use model::{CARD_FILE, DescriptorModel, MODEL_FILE};
+pub use preprocess::Preprocessor;
+pub use runtime::OnnxRuntime;
+pub use search::{FoundLibrary, SearchedPlace, Surroundings, find_runtime};

@@ -1,0 +1,155 @@
+//! Bad input: one line that names the file and the fix, and never a panic.
+
+use std::fs;
+use std::path::Path;
+
+use loci::raster::RgbImage;
+use loci::source::jpeg;
+
+use crate::program::{loci, text};
+
+fn folder_with(files: &[(&str, &[u8])]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in files {
+        fs::write(folder.path().join(name), bytes).unwrap();
+    }
+    folder
+}
+
+/// A JPEG with something to see.
+fn picture() -> Vec<u8> {
+    let pixels = (0..320 * 240 * 3).map(|i| ((i / 33) * 2_654_435_761_usize >> 7) as u8).collect();
+    jpeg(&RgbImage::from_pixels(320, 240, pixels).unwrap())
+}
+
+/// The header of a PNG of this size, without pixels.
+fn png_header(width: u32, height: u32) -> Vec<u8> {
+    let mut header = b"IHDR".to_vec();
+    header.extend(width.to_be_bytes());
+    header.extend(height.to_be_bytes());
+    header.extend([8, 0, 0, 0, 0]);
+    let checksum = header.iter().fold(!0_u32, |crc, &byte| {
+        (0..8).fold(
+            crc ^ u32::from(byte),
+            |crc, _| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 },
+        )
+    });
+    [b"\x89PNG\r\n\x1a\n\0\0\0\x0d", &header[..], &(!checksum).to_be_bytes(), b"\0\0\0\0IDAT"].concat()
+}
+
+#[test]
+fn one_bad_frame_among_many_is_reported_and_skipped() {
+    let picture = picture();
+    let bad: [(&str, &[u8], &str); 5] = [
+        ("2.jpg", &picture[..picture.len() / 2], "2.jpg: the JPEG is cut off"),
+        ("3.jpg", b"", "3.jpg: the file is empty"),
+        ("4.png", &png_header(1, 1), "4.png: 1×1 px is too small"),
+        ("5.png", &png_header(20_000, 20_000), "5.png: 20000×20000 px is too large"),
+        ("6.jpg", b"hello", "6.jpg: neither JPEG nor PNG"),
+    ];
+    for (name, bytes, message) in bad {
+        let folder = folder_with(&[("1.jpg", &picture), (name, bytes), ("9.jpg", &picture)]);
+        let run = loci(&["run", text(folder.path()), "--json"]);
+        assert_eq!(run.code, 3, "{}", run.stderr);
+        assert_eq!(run.records().len(), 2);
+        let skipped: Vec<&str> = run.stderr.lines().filter(|line| line.contains("skipped:")).collect();
+        assert!(skipped.len() == 1 && skipped[0].contains(message), "{skipped:?}");
+        assert!(run.stderr.contains("1 frames skipped"), "{}", run.stderr);
+    }
+}
+
+#[test]
+fn a_folder_of_nothing_but_bad_frames_fails() {
+    let folder = folder_with(&[("1.jpg", b"x")]);
+    let run = loci(&["run", text(folder.path())]);
+    assert_eq!(run.code, 1);
+    assert!(run.stderr.ends_with("loci: none of the 1 frames could be read\n"), "{}", run.stderr);
+}
+
+#[test]
+fn a_source_that_is_none_is_named_with_the_fix() {
+    let empty = folder_with(&[]);
+    loci(&["run", text(empty.path())]).assert_failed(1, &[text(empty.path()), "no images", ".jpg"]);
+    loci(&["run", "/no/such/folder"]).assert_failed(1, &["cannot read /no/such/folder"]);
+    let video = folder_with(&[("drive.mp4", b"x")]);
+    let path = video.path().join("drive.mp4");
+    loci(&["run", text(&path)]).assert_failed(1, &["drive.mp4", "extract the images"]);
+    loci(&["run", "synthetic:moon"]).assert_failed(1, &["moon", "street", "corridor"]);
+    loci(&["run", "synthetic:street?lapse=2"]).assert_failed(1, &["lapse", "laps"]);
+}
+
+#[test]
+fn a_vocabulary_of_the_wrong_kind_is_named() {
+    let good = fs::read("vocab/default.lvoc").unwrap();
+    let mut newer = good.clone();
+    newer[8] = 99;
+    let wrong: [(&str, &[u8], &str); 5] = [
+        ("picture.lvoc", &picture(), "is not a vocabulary (.lvoc): it does not begin as one"),
+        ("empty.lvoc", b"", "the file is empty"),
+        ("cut.lvoc", &good[..good.len() / 2], "is damaged"),
+        ("newer.lvoc", &newer, "update Loci"),
+        ("text.lvoc", b"10 6 0 0\n", "shorter than its header"),
+    ];
+    for (name, bytes, message) in wrong {
+        let folder = folder_with(&[(name, bytes)]);
+        let path = folder.path().join(name);
+        let run = loci(&["run", "synthetic:street?laps=1&frames=2", "--vocab", text(&path)]);
+        run.assert_failed(1, &[name, message]);
+        loci(&["vocab", "info", text(&path)]).assert_failed(1, &[name, message]);
+    }
+    let folder = folder_with(&[]);
+    loci(&["vocab", "info", text(folder.path())]).assert_failed(1, &["not a regular file"]);
+}
+
+#[test]
+fn a_flipped_bit_in_a_vocabulary_is_found_when_asked() {
+    let mut bytes = fs::read("vocab/default.lvoc").unwrap();
+    bytes[4096] ^= 1;
+    let folder = folder_with(&[("flipped.lvoc", &bytes)]);
+    let path = folder.path().join("flipped.lvoc");
+    assert_eq!(loci(&["vocab", "info", text(&path)]).code, 0);
+    loci(&["vocab", "info", text(&path), "--verify"]).assert_failed(1, &["flipped.lvoc", "checksum"]);
+}
+
+#[cfg(feature = "cnn")]
+#[test]
+fn a_model_of_the_wrong_kind_is_named() {
+    let run = |model: &Path| loci(&["run", "synthetic:street?laps=1&frames=2", "--model", text(model)]);
+    let empty = folder_with(&[]);
+    run(empty.path()).assert_failed(1, &["card.toml"]);
+    let card = fs::read("models/efficientnet-lite0/card.toml").unwrap();
+    let foreign = folder_with(&[("card.toml", &card), ("model.onnx", b"not a network")]);
+    run(foreign.path()).assert_failed(1, &["model.onnx", "sha256", "rebuild or fetch the model again"]);
+    let unreadable = folder_with(&[("card.toml", b"name = 3"), ("model.onnx", b"x")]);
+    run(unreadable.path()).assert_failed(1, &["card.toml"]);
+}
+
+#[cfg(feature = "cnn")]
+#[test]
+fn an_onnx_runtime_that_is_none_is_named() {
+    let folder = folder_with(&[("libonnxruntime.so", b"not a library")]);
+    let path = folder.path().join("libonnxruntime.so");
+    let run = loci(&["run", "synthetic:street?laps=1&frames=2", "--onnxruntime", text(&path)]);
+    run.assert_failed(1, &["libonnxruntime.so", "make deps"]);
+}
+
+#[test]
+fn an_unwritable_map_folder_is_named() {
+    let run = loci(&["run", "synthetic:street?laps=1&frames=2", "--map", "/proc/map"]);
+    run.assert_failed(1, &["/proc/map", "cannot create map folder"]);
+    let file = folder_with(&[("map", b"x")]);
+    let path = file.path().join("map");
+    loci(&["run", "synthetic:street?laps=1&frames=2", "--map", text(&path)]).assert_failed(1, &[text(&path)]);
+    let foreign = folder_with(&[("journal-000001.loci", b"something else entirely")]);
+    let run = loci(&["run", "synthetic:street?laps=1&frames=2", "--map", text(foreign.path())]);
+    run.assert_failed(1, &["journal-000001.loci", "is not a map journal"]);
+    let none = folder_with(&[]);
+    loci(&["map", "info", text(none.path())]).assert_failed(1, &["no map in", "loci run"]);
+}
+
+#[cfg(feature = "rerun")]
+#[test]
+fn a_recording_that_cannot_be_written_is_named() {
+    let run = loci(&["run", "synthetic:street?laps=1&frames=2", "--rerun", "save=/no/such/folder/x.rrd"]);
+    run.assert_failed(1, &["/no/such/folder"]);
+}

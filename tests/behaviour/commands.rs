@@ -1,0 +1,101 @@
+//! The commands: their help, their exit codes, and what they print.
+
+use std::fs;
+
+use crate::program::{loci, text};
+
+#[test]
+fn commands_that_are_not_built_say_so_and_fail() {
+    for command in ["train", "evaluate", "sync", "review", "bench", "devices"] {
+        let message = format!("`loci {command}` is not built yet");
+        loci(&[command, "--with", "anything"]).assert_failed(1, &[&message]);
+    }
+    for arguments in [["map", "verify"], ["map", "rename"], ["vocab", "import"], ["vocab", "bench"]] {
+        loci(&arguments).assert_failed(1, &["is not built yet"]);
+    }
+}
+
+#[test]
+fn help_of_every_built_command_shows_an_example() {
+    let commands: [&[&str]; 6] =
+        [&["run"], &["demo"], &["vocab", "train"], &["vocab", "info"], &["map", "info"], &["doctor"]];
+    for command in commands {
+        let help = loci(&[command, &["--help"]].concat());
+        assert_eq!(help.code, 0);
+        assert!(help.stdout.contains("Example"), "{command:?}: {}", help.stdout);
+        assert!(help.stdout.contains("  loci "), "{command:?}: {}", help.stdout);
+    }
+}
+
+#[test]
+fn wrong_arguments_end_with_2() {
+    assert_eq!(loci(&["run"]).code, 2);
+    assert_eq!(loci(&["fly"]).code, 2);
+    assert_eq!(loci(&["run", "synthetic:street", "--sample-interval", "0"]).code, 2);
+    loci(&["run", "synthetic:street", "--read-only"]).assert_failed(2, &["--map"]);
+    loci(&["run", "synthetic:street", "--rerun", "paint"]).assert_failed(2, &["save=FILE.rrd"]);
+    loci(&["run", "synthetic:street", "--config", "/none.toml"]).assert_failed(2, &["/none.toml"]);
+}
+
+#[test]
+fn settings_come_from_a_file_too_and_unknown_keys_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("loci.toml");
+    fs::write(&config, "sample-interval = 3").unwrap();
+    let run = loci(&["run", "synthetic:street?laps=1&frames=6", "--json", "--config", text(&config)]);
+    assert_eq!(run.records().len(), 2);
+    fs::write(&config, "sample-intervall = 3").unwrap();
+    let run = loci(&["run", "synthetic:street?laps=1&frames=6", "--config", text(&config)]);
+    run.assert_failed(2, &["loci.toml", "unknown field `sample-intervall`"]);
+}
+
+#[test]
+fn a_vocabulary_is_trained_and_described() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("small.lvoc");
+    let world = "synthetic:street?laps=1&frames=5";
+    let trained =
+        loci(&["vocab", "train", world, "--branching", "6", "--depth", "3", "--out", text(&path), "--json"]);
+    assert_eq!(trained.code, 0, "{}", trained.stderr);
+    let info = &loci(&["vocab", "info", text(&path), "--verify", "--json"]).records()[0];
+    assert_eq!(info, &trained.records()[0]);
+    assert_eq!((&info["branching"], &info["depth"], &info["images"]), (&6.into(), &3.into(), &5.into()));
+    assert!((100..=216).contains(&info["words"].as_u64().unwrap()), "{info}");
+    let run = loci(&["run", world, "--vocab", text(&path), "--json"]);
+    assert_eq!(run.records().len(), 5);
+}
+
+#[test]
+fn the_demo_tells_a_newcomer_what_happened() {
+    let demo = loci(&["demo"]);
+    assert_eq!(demo.code, 0, "{}", demo.stderr);
+    for part in ["Lap 1, noon", "founded", "Lap 2, dusk", "the right one", "Next: loci run"] {
+        assert!(demo.stdout.contains(part), "no '{part}' in: {}", demo.stdout);
+    }
+}
+
+#[cfg(feature = "cnn")]
+#[test]
+fn the_doctor_finds_every_part_in_order() {
+    let doctor = loci(&["doctor", "--json"]);
+    assert_eq!(doctor.code, 0, "{}{}", doctor.stdout, doctor.stderr);
+    let findings = doctor.records()[0].as_array().unwrap().clone();
+    for part in ["vocabulary", "onnx runtime", "model", "rerun"] {
+        assert!(findings.iter().any(|finding| finding["part"] == part), "no {part}");
+    }
+    let broken = loci(&["doctor", "--vocab", "/dev/null"]);
+    assert_eq!(broken.code, 1);
+    assert!(broken.stdout.contains("FAIL  vocabulary"), "{}", broken.stdout);
+}
+
+#[test]
+fn a_reader_that_stops_reading_ends_the_run_quietly() {
+    let program = env!("CARGO_BIN_EXE_loci");
+    let line =
+        format!("set -o pipefail; '{program}' run 'synthetic:street?laps=1&frames=40' --json | head -n 1");
+    let output = std::process::Command::new("bash").args(["-c", &line]).output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{stderr}");
+    assert_eq!(output.stdout.iter().filter(|&&byte| byte == b'\n').count(), 1);
+    assert!(!stderr.contains("panicked"), "{stderr}");
+}

@@ -1,0 +1,7 @@
+//! What the program does, seen from outside: one module a subject, one binary for all.
+
+mod bad_input;
+mod commands;
+mod program;
+mod real_sequences;
+mod stream;

@@ -1,0 +1,119 @@
+//! Real sequences, run by `make test-data`; found by `LOCI_DATA`, never part of the project.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::program::{loci, real_data, text};
+
+/// Rows of a ground truth, without its header, cut at commas.
+fn rows(path: &Path) -> Vec<Vec<String>> {
+    let text = fs::read_to_string(path).unwrap();
+    text.lines().skip(1).map(|line| line.split(',').map(str::to_owned).collect()).collect()
+}
+
+/// Answers that name a place, those of them that are right, and frames that have a right answer.
+#[derive(Debug, Default)]
+struct Tally {
+    named: usize,
+    right: usize,
+    frames: usize,
+}
+
+impl Tally {
+    fn precision(&self) -> f64 {
+        self.right as f64 / self.named as f64
+    }
+
+    fn recall(&self) -> f64 {
+        self.right as f64 / self.frames as f64
+    }
+
+    fn count(&mut self, names_place: bool, right: bool) {
+        self.frames += 1;
+        self.named += usize::from(names_place);
+        self.right += usize::from(names_place && right);
+    }
+}
+
+fn names_place(record: &Value) -> bool {
+    ["recognised", "revisited"].contains(&record["decision"].as_str().unwrap())
+}
+
+/// An answer is right when the place it names holds a frame that the ground truth lists for this one.
+#[test]
+#[ignore = "needs the real sequences"]
+fn real_corridor_is_recognised_on_its_second_lap() {
+    let folder = real_data().join("corridor_two_laps");
+    let truth = rows(&folder.join("ground_truth.csv"));
+    let map = tempfile::tempdir().unwrap();
+    let run = loci(&["run", text(&folder), "--map", text(map.path()), "--json"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let records = run.records();
+    assert_eq!(records.len(), 84, "a line a frame");
+    let mut tally = Tally::default();
+    let mut frames_of_place: BTreeMap<u64, BTreeSet<&str>> = BTreeMap::new();
+    let mut founded_in_first_lap = 0;
+    for (record, row) in records.iter().zip(&truth) {
+        let place = record["place"].as_u64().unwrap();
+        let same_place: BTreeSet<&str> = row[2].split_whitespace().collect();
+        let known = frames_of_place.entry(place).or_default();
+        if row[1] == "1" {
+            founded_in_first_lap += usize::from(record["decision"] == "new_place");
+        } else {
+            tally.count(names_place(record), !known.is_disjoint(&same_place));
+        }
+        known.insert(&row[0]);
+    }
+    println!("corridor: {founded_in_first_lap} places in lap 1; laps 2-3 {tally:?}");
+    assert!(founded_in_first_lap >= 5);
+    assert_eq!(tally.frames, 44);
+    assert!(tally.precision() >= 0.95, "{tally:?}");
+    assert!(tally.recall() >= 0.75, "{tally:?}");
+}
+
+/// An answer is right when the place it names was seen within ±5 % of a lap. Noted without a target.
+#[test]
+#[ignore = "needs the real sequences"]
+fn real_robot_drives_run_through() {
+    let folder = real_data().join("robot_laps");
+    let truth: BTreeMap<String, Vec<String>> =
+        rows(&folder.join("ground_truth.csv")).into_iter().map(|row| (row[0].clone(), row)).collect();
+    for drive in ["2023-12-06_car1", "2023-12-09_car1", "2024-03-06_car2"] {
+        let mut files: Vec<String> = fs::read_dir(folder.join(drive))
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        files.sort_by_key(|name| name.trim_end_matches(".jpg").parse::<u64>().unwrap());
+        let run = loci(&["run", text(&folder.join(drive)), "--json"]);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        let records = run.records();
+        assert_eq!(records.len(), files.len(), "a line a frame");
+        let rows = files.iter().map(|name| &truth[&format!("{drive}/{name}")]);
+        let tally = tally_of_laps(&records, rows);
+        println!("{drive}: {tally:?} precision {:.3} recall {:.3}", tally.precision(), tally.recall());
+        assert!(tally.frames > 50 && tally.named > 0, "{tally:?}");
+    }
+}
+
+/// Scores the reliable frames after the first lap that has any.
+fn tally_of_laps<'a>(records: &[Value], rows: impl Iterator<Item = &'a Vec<String>>) -> Tally {
+    let mut tally = Tally::default();
+    let mut phases_of_place: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
+    let mut first_lap = None;
+    for (record, row) in records.iter().zip(rows).filter(|(_, row)| row[5] == "1") {
+        let (lap, phase): (u32, f64) = (row[3].parse().unwrap(), row[4].parse().unwrap());
+        let known = phases_of_place.entry(record["place"].as_u64().unwrap()).or_default();
+        let is_near = |other: &f64| {
+            let apart = (other - phase).abs();
+            apart.min(1.0 - apart) <= 0.05
+        };
+        if lap > *first_lap.get_or_insert(lap) {
+            tally.count(names_place(record), known.iter().any(is_near));
+        }
+        known.push(phase);
+    }
+    tally
+}

@@ -1,0 +1,103 @@
+//! The main job on synthetic drives, whose true places are known.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use loci::source::{self, FrameSource};
+
+use crate::program::{Finished, loci, loci_without_runtime, text};
+
+const FRAMES_PER_LAP: usize = 60;
+
+/// The true place of every frame of a synthetic drive.
+fn true_places(world: &str) -> Vec<u32> {
+    let mut source: Box<dyn FrameSource> = source::open(world, 1).unwrap();
+    std::iter::from_fn(|| source.next_frame()).map(|frame| frame.unwrap().true_place.unwrap()).collect()
+}
+
+/// Answers of the laps after the first: how many name a place, how many of these rightly, of how many.
+/// Right is a place that the first lap saw at most one true place away.
+fn score(run: &Finished, truth: &[u32]) -> (usize, usize, usize) {
+    let mut seen_at: BTreeMap<u64, BTreeSet<u32>> = BTreeMap::new();
+    let (mut named, mut right) = (0, 0);
+    let records = run.records();
+    assert_eq!(records.len(), truth.len(), "a line a frame");
+    for (index, (record, &place)) in records.iter().zip(truth).enumerate() {
+        let answer = record["place"].as_u64().unwrap();
+        if index < FRAMES_PER_LAP {
+            seen_at.entry(answer).or_default().insert(place);
+        } else if ["recognised", "revisited"].contains(&record["decision"].as_str().unwrap()) {
+            named += 1;
+            let near = place.saturating_sub(1)..=place + 1;
+            right +=
+                usize::from(seen_at.get(&answer).is_some_and(|places| places.range(near).next().is_some()));
+        }
+    }
+    (named, right, truth.len() - FRAMES_PER_LAP)
+}
+
+#[test]
+fn a_second_lap_at_the_same_light_is_known() {
+    let world = "synthetic:street?laps=2&light=noon&frames=60&seed=21";
+    let (named, right, frames) = score(&loci(&["run", world, "--json"]), &true_places(world));
+    assert!(named * 100 >= frames * 90, "{named} of {frames} named");
+    assert!(right * 100 >= named * 95, "{right} of {named} right");
+}
+
+#[test]
+fn without_onnx_runtime_bow_and_hough_voting_go_on_alone_and_say_so() {
+    let world = "synthetic:corridor?laps=2&light=noon&frames=60&seed=22";
+    let run = loci_without_runtime(&["run", world, "--json"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert!(run.stderr.contains("NO CNN, going on with BoW+HV alone"), "{}", run.stderr);
+    assert!(run.stderr.contains("make deps"), "{}", run.stderr);
+    assert!(run.records().iter().all(|record| record["cnn"] == "unavailable"));
+    let (named, right, frames) = score(&run, &true_places(world));
+    assert!(named * 100 >= frames * 60, "{named} of {frames} named");
+    assert!(right * 100 >= named * 90, "{right} of {named} right");
+}
+
+#[test]
+fn the_same_stream_gives_the_same_decisions() {
+    let run = || {
+        let mut records = loci(&["run", "synthetic:street?laps=1&frames=20&seed=3", "--json"]).records();
+        records.iter_mut().for_each(|record| drop(record.as_object_mut().unwrap().remove("latency_us")));
+        records
+    };
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn a_map_is_kept_and_localised_in_without_changing_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let world = "synthetic:street?laps=1&frames=30&seed=5";
+    assert_eq!(loci(&["run", world, "--map", text(&map)]).code, 0);
+    let before = loci(&["map", "info", text(&map), "--json"]).stdout;
+    let again = loci(&["run", world, "--map", text(&map), "--read-only", "--json"]);
+    assert_eq!(again.code, 0, "{}", again.stderr);
+    let known = again.decisions().iter().filter(|decision| *decision == "recognised").count();
+    assert!(known >= 27, "{known} of 30 recognised");
+    let elsewhere =
+        loci(&["run", "synthetic:corridor?laps=1&frames=10", "--map", text(&map), "--read-only", "--json"]);
+    let decisions = elsewhere.decisions();
+    assert!(decisions.iter().all(|decision| decision == "unknown"), "{decisions:?}");
+    assert_eq!(loci(&["map", "info", text(&map), "--json"]).stdout, before);
+}
+
+#[test]
+fn sampling_keeps_every_nth_frame() {
+    let run = loci(&["run", "synthetic:street?laps=1&frames=9", "--sample-interval", "4", "--json"]);
+    let frames: Vec<u64> = run.records().iter().map(|record| record["frame"].as_u64().unwrap()).collect();
+    assert_eq!(frames, [0, 4, 8]);
+}
+
+#[cfg(feature = "rerun")]
+#[test]
+fn a_recording_is_written_for_rerun() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("drive.rrd");
+    let target = format!("save={}", recording.display());
+    let run = loci(&["run", "synthetic:street?laps=1&frames=4&size=160x160", "--rerun", &target]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert!(std::fs::read(recording).unwrap().starts_with(b"RRF"));
+}
