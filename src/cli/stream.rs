@@ -24,7 +24,7 @@ pub(super) fn pipeline(
     mut sinks: Vec<Box<dyn RecognitionSink>>,
 ) -> anyhow::Result<Pipeline> {
     let rerun = rerun_sink(settings.rerun.as_deref())?;
-    let sample_interval = settings.sample_interval.map_or(1, |interval| u64::from(interval.get()));
+    let sample_interval = settings.sample_interval.map(|interval| u64::from(interval.get()));
     let source = source::open(source, sample_interval)?;
     let vocabulary = Vocabulary::open(&assets::find(settings.vocab.as_deref(), assets::VOCABULARY, "--vocab")?)?;
     let model = open_cnn(settings)?;

@@ -101,7 +101,7 @@ fn learn(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
 /// The descriptors of every image of `sources`, and how many images could not be read.
 fn descriptors(sources: &[String]) -> anyhow::Result<(Vec<Vec<Descriptor>>, usize)> {
     let extractor = OrbExtractor::new(OrbOptions::default());
-    let mut sources: Vec<_> = sources.iter().map(|source| source::open(source, 1)).collect::<Result<_, _>>()?;
+    let mut sources: Vec<_> = sources.iter().map(|source| source::open(source, None)).collect::<Result<_, _>>()?;
     let frames = sources.iter().map(|source| source.frame_count()).sum();
     let progress = progress_bar(frames, ProgressDrawTarget::stderr());
     let (mut images, mut skipped) = (Vec::new(), 0);

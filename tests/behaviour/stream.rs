@@ -10,7 +10,7 @@ const FRAMES_PER_LAP: usize = 60;
 
 /// The true place of every frame of a synthetic drive.
 fn true_places(world: &str) -> Vec<u32> {
-    let mut source: Box<dyn FrameSource> = source::open(world, 1).unwrap();
+    let mut source: Box<dyn FrameSource> = source::open(world, None).unwrap();
     std::iter::from_fn(|| source.next_frame()).map(|frame| frame.unwrap().true_place.unwrap()).collect()
 }
 

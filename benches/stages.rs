@@ -1,0 +1,55 @@
+//! The stages of recognition, each on the frames of a synthetic street.
+
+use std::hint::black_box;
+use std::path::Path;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use loci::feature::{Features, OrbExtractor, OrbOptions};
+use loci::frame::Frame;
+use loci::retrieval::{BowVector, InvertedIndex};
+use loci::source;
+use loci::verification::{MatchingView, VerificationOptions, verify};
+use loci::vocabulary::Vocabulary;
+
+fn frames(count: usize) -> Vec<Frame> {
+    let world = "synthetic:street?laps=1&light=noon&frames=60&seed=7";
+    let mut source = source::open(world, None).expect("a known world");
+    std::iter::from_fn(|| source.next_frame()).take(count).map(|frame| frame.expect("rendered")).collect()
+}
+
+fn stages(criterion: &mut Criterion) {
+    let vocabulary = Vocabulary::open(Path::new("vocab/default.lvoc")).expect("the shipped vocabulary");
+    let extractor = OrbExtractor::new(OrbOptions::default());
+    let frames = frames(20);
+    criterion.bench_function("features/orb_1000_of_640x480", |bencher| {
+        bencher.iter(|| extractor.extract(black_box(&frames[0].grey)));
+    });
+
+    let features: Vec<Features> = frames.iter().map(|frame| extractor.extract(&frame.grey)).collect();
+    let bow = |features: &Features| {
+        BowVector::new(features.descriptors.iter().map(|d| vocabulary.quantise(d).word), &vocabulary)
+    };
+    criterion.bench_function("vocabulary/bow_of_1000", |bencher| bencher.iter(|| bow(black_box(&features[0]))));
+
+    let vectors: Vec<BowVector> = features.iter().map(bow).collect();
+    let mut index = InvertedIndex::new(vocabulary.word_count());
+    (0..1000).for_each(|image| drop(index.add(&vectors[image % vectors.len()])));
+    criterion.bench_function("retrieval/query_of_1000_images", |bencher| {
+        bencher.iter(|| index.query(black_box(&vectors[0]), |_| true));
+    });
+
+    let groups: Vec<Vec<u32>> = features
+        .iter()
+        .map(|features| features.descriptors.iter().map(|d| vocabulary.quantise(d).node.0).collect())
+        .collect();
+    let view = |image: usize| MatchingView { features: &features[image], groups: &groups[image] };
+    let options = VerificationOptions::default();
+    for (name, other) in [("next_frame", 1), ("far_frame", 15)] {
+        criterion.bench_function(&format!("verification/{name}"), |bencher| {
+            bencher.iter(|| verify(black_box(view(0)), view(other), &options));
+        });
+    }
+}
+
+criterion_group!(benches, stages);
+criterion_main!(benches);

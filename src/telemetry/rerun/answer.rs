@@ -1,0 +1,199 @@
+//! The answer, for people: in words, as a line of the log, and as curves over time.
+
+use std::fmt::Write;
+
+use ::rerun::{
+    Color, RecordingStream, RecordingStreamResult, Scalars, SeriesLines, SeriesPoints, TextDocument, TextLog,
+    TextLogLevel,
+};
+
+use super::style;
+use super::target::one_line;
+use crate::recognition::{Candidate, Decision, Evidence, Recognition};
+use crate::telemetry::{CnnStatus, FrameRecord, StageLatency};
+
+/// Candidates that the answer lists.
+const LISTED: usize = 6;
+/// Turned down candidates that a line of the log names.
+const NAMED: usize = 2;
+/// Longest name that is shown whole, in characters.
+const MAX_NAME: usize = 60;
+
+/// Names and colours of the curves, for good.
+pub(super) fn dress(stream: &RecordingStream) -> RecordingStreamResult<()> {
+    let line = |name: &str, colour: Color, width: f32| {
+        SeriesLines::new().with_names([name]).with_colors([colour]).with_widths([width])
+    };
+    stream.log_static(style::PLACE, &line("place", style::FAINT, 1.0))?;
+    for decision in style::DECISIONS {
+        let points = SeriesPoints::new()
+            .with_names([style::words(decision)])
+            .with_colors([style::colour(decision)])
+            .with_marker_sizes([3.0]);
+        stream.log_static(style::place_path(decision), &points)?;
+    }
+    stream.log_static(style::CONFIDENCE, &line("confidence", style::BLUE, 1.5))?;
+    let inliers =
+        SeriesPoints::new().with_names(["inliers"]).with_colors([style::GREEN]).with_marker_sizes([3.0]);
+    stream.log_static(style::INLIERS, &inliers)?;
+    for (path, name, colour) in style::LATENCIES {
+        stream.log_static(path, &line(name, colour, 1.2))?;
+    }
+    Ok(())
+}
+
+/// Shows the answer for `record`.
+pub(super) fn show(stream: &RecordingStream, record: &FrameRecord) -> RecordingStreamResult<()> {
+    let recognition = &record.recognition;
+    if let Some(place) = recognition.place {
+        let place = Scalars::single(f64::from(place.0));
+        stream.log(style::PLACE, &place)?;
+        stream.log(style::place_path(recognition.decision), &place)?;
+    }
+    stream.log(style::CONFIDENCE, &Scalars::single(f64::from(recognition.confidence)))?;
+    if let Some(inliers) = recognition.inliers {
+        stream.log(style::INLIERS, &Scalars::single(f64::from(inliers)))?;
+    }
+    for ((path, ..), micros) in style::LATENCIES.into_iter().zip(in_order(record.latency)) {
+        stream.log(path, &Scalars::single(micros as f64 / 1e3))?;
+    }
+    stream.log(style::NOW, &TextDocument::from_markdown(markdown(record)))?;
+    let line = TextLog::new(log_line(record))
+        .with_level(level(record))
+        .with_color(style::colour(recognition.decision));
+    stream.log(style::LOG, &line)
+}
+
+/// Says that frames were left out because the viewer is slow.
+pub(super) fn show_gap(stream: &RecordingStream, frames: u64) -> RecordingStreamResult<()> {
+    let line = format!("{frames} frames are not shown: the viewer was too slow");
+    stream.log(style::LOG, &TextLog::new(line).with_level(TextLogLevel::WARN))
+}
+
+/// In the order of [`style::LATENCIES`].
+fn in_order(latency: StageLatency) -> [u64; 6] {
+    let StageLatency { decode_us, features_us, cnn_us, retrieval_us, verification_us, total_us } = latency;
+    [total_us, decode_us, features_us, cnn_us, retrieval_us, verification_us]
+}
+
+fn level(record: &FrameRecord) -> &'static str {
+    match record.recognition.decision {
+        _ if record.cnn == CnnStatus::Failed => TextLogLevel::WARN,
+        Decision::Recognised | Decision::Revisited | Decision::NewPlace => TextLogLevel::INFO,
+        Decision::SamePlace | Decision::Unknown => TextLogLevel::DEBUG,
+    }
+}
+
+/// For example `recognised place 17 by cnn, 0.993; not 9: inliers 6 < 12`.
+fn log_line(record: &FrameRecord) -> String {
+    let recognition = &record.recognition;
+    let mut line = style::words(recognition.decision).to_owned();
+    if let Some(place) = recognition.place {
+        let _ = match recognition.decision {
+            Decision::SamePlace | Decision::NewPlace => write!(line, " {}", place.0),
+            _ => write!(line, " place {}", place.0),
+        };
+    }
+    if let Some(name) = &recognition.name {
+        let _ = write!(line, " ({})", shortened(name));
+    }
+    if let Some(by) = recognition.by.filter(|by| *by != Evidence::PlaceInterval) {
+        let _ = write!(line, " by {}", evidence(by));
+    }
+    let _ = write!(line, ", {:.3}", recognition.confidence);
+    for candidate in turned_down(recognition).take(NAMED) {
+        if let Some(reason) = candidate.rejected {
+            let _ = write!(line, "; not {}: {reason}", candidate.place.0);
+        }
+    }
+    if record.cnn == CnnStatus::Failed {
+        line.push_str("; the CNN failed");
+    }
+    line
+}
+
+/// The candidates of other places, the best first, each place once.
+fn turned_down(recognition: &Recognition) -> impl Iterator<Item = &Candidate> {
+    let candidates = &recognition.candidates;
+    candidates.iter().enumerate().filter_map(|(index, candidate)| {
+        let is_first = candidates[..index].iter().all(|earlier| earlier.place != candidate.place);
+        let is_other = recognition.place != Some(candidate.place);
+        (is_first && is_other && candidate.rejected.is_some()).then_some(candidate)
+    })
+}
+
+/// The answer as a page: what was decided, and the candidates with the reasons against them.
+fn markdown(record: &FrameRecord) -> String {
+    let recognition = &record.recognition;
+    let mut page = match recognition.place {
+        Some(place) => format!("# Place {}", place.0),
+        None => "# Unknown".to_owned(),
+    };
+    if let Some(name) = &recognition.name {
+        let _ = write!(page, " · {}", escaped(name));
+    }
+    let _ = write!(page, "\n\n**{}**", style::words(recognition.decision));
+    if let Some(by) = recognition.by.filter(|by| *by != Evidence::PlaceInterval) {
+        let _ = write!(page, " by {}", evidence(by));
+    }
+    let _ = write!(page, ", {:.0} % sure", 100.0 * recognition.confidence);
+    if let Some(matched) = &record.matched {
+        let _ = write!(page, " · keyframe {} from {}", matched.experience.0, escaped(&matched.frame_name));
+    }
+    let _ = write!(page, " · frame {}", escaped(&record.frame.name));
+    match record.cnn {
+        CnnStatus::Available => {}
+        CnnStatus::Unavailable => page.push_str(" · no CNN"),
+        CnnStatus::Failed => page.push_str(" · **the CNN failed**"),
+    }
+    page.push_str("\n\n");
+    if !recognition.candidates.is_empty() {
+        page.push_str("| Place | Evidence | Score | Inliers | |\n|---|---|---|---|---|\n");
+    }
+    for candidate in recognition.candidates.iter().take(LISTED) {
+        push_row(&mut page, candidate);
+    }
+    page
+}
+
+fn push_row(page: &mut String, candidate: &Candidate) {
+    let inliers = candidate.inliers.map(|inliers| inliers.to_string()).unwrap_or_default();
+    let (by, score) = (evidence(candidate.by), candidate.score);
+    let _ = match candidate.rejected {
+        None => {
+            writeln!(page, "| **{}** | {by} | {score:.3} | {inliers} | **accepted** |", candidate.place.0)
+        }
+        Some(reason) => {
+            writeln!(page, "| {} | {by} | {score:.3} | {inliers} | {reason} |", candidate.place.0)
+        }
+    };
+}
+
+fn evidence(evidence: Evidence) -> &'static str {
+    match evidence {
+        Evidence::Cnn => "CNN",
+        Evidence::BowHv => "BoW+HV",
+        Evidence::PlaceInterval => "place interval",
+    }
+}
+
+/// A name from outside, on one line and not too long.
+fn shortened(name: &str) -> String {
+    let name = one_line(name);
+    match name.char_indices().nth(MAX_NAME) {
+        Some((end, _)) => format!("{}…", &name[..end]),
+        None => name,
+    }
+}
+
+/// The same, with nothing in it that Markdown would take for its own.
+fn escaped(name: &str) -> String {
+    let mut escaped = String::new();
+    for character in shortened(name).chars() {
+        if character.is_ascii_punctuation() && !matches!(character, '.' | ',' | '/' | ':' | '-') {
+            escaped.push('\\');
+        }
+        escaped.push(character);
+    }
+    escaped
+}

@@ -1,0 +1,177 @@
+//! The pictures: the frame with its keypoints, and beside it the keyframe it was matched with.
+//!
+//! Both share one plane, the frame at its origin and the keyframe to its right at the same height, so
+//! that lines can join what corresponds.
+
+use ::rerun::{
+    AsComponents, Boxes2D, Clear, Color, EncodedImage, Image, LineStrips2D, PixelFormat, Points2D, Radius,
+    RecordingStream, RecordingStreamResult, Transform3D,
+};
+
+use super::{jpeg, style};
+use crate::frame::Frame;
+use crate::geometry::Point;
+use crate::raster::{GreyImage, RgbImage};
+use crate::telemetry::{FrameRecord, MatchedKeyframe};
+use crate::verification::{Correspondence, Verification};
+
+/// Space between frame and keyframe, as a share of the frame's width.
+const GAP: f32 = 0.03;
+
+const UNDER: f32 = -10.0;
+const OVER: f32 = 30.0;
+
+/// What of the pictures is on show already.
+#[derive(Default)]
+pub(super) struct Scene {
+    /// Width and height of the frames.
+    size_px: Option<(usize, usize)>,
+    shows_match: bool,
+}
+
+impl Scene {
+    /// Shows the pictures of `record`.
+    pub(super) fn show(
+        &mut self,
+        stream: &RecordingStream,
+        record: &FrameRecord,
+    ) -> RecordingStreamResult<()> {
+        let frame = &*record.frame;
+        self.outline(stream, frame)?;
+        match &frame.jpeg {
+            Some(bytes) => stream.log(style::CAMERA_IMAGE, &encoded(bytes))?,
+            None => stream.log(style::CAMERA_IMAGE, &raw(&frame.colour, &frame.grey))?,
+        }
+        let keypoints = &record.look.features.keypoints;
+        let places = keypoints.iter().map(|keypoint| xy(keypoint.point));
+        let radii = keypoints.iter().map(|keypoint| Radius::new_scene_units(0.8 * keypoint.scale.sqrt()));
+        stream.log(style::KEYPOINTS, &Points2D::new(places).with_radii(radii).with_colors([style::BLUE]))?;
+        match record.matched.as_ref().and_then(|matched| Placement::new(frame, matched)) {
+            Some(placement) => {
+                self.shows_match = true;
+                placement.show(stream, record)
+            }
+            None if std::mem::take(&mut self.shows_match) => stream.log(style::MATCH, &Clear::recursive()),
+            None => Ok(()),
+        }
+    }
+
+    /// Draws the outlines of frame and keyframe, for good: they hold the view still.
+    fn outline(&mut self, stream: &RecordingStream, frame: &Frame) -> RecordingStreamResult<()> {
+        let size_px = (frame.colour.width(), frame.colour.height());
+        if self.size_px.replace(size_px) == Some(size_px) {
+            return Ok(());
+        }
+        let (width, height) = (size_px.0 as f32, size_px.1 as f32);
+        let boxes = Boxes2D::from_mins_and_sizes([[0.0, 0.0], [offset_px(width), 0.0]], [[width, height]; 2])
+            .with_colors([style::FAINT])
+            .with_radii([Radius::new_ui_points(0.5)])
+            .with_draw_order(UNDER - 1.0);
+        stream.log_static(style::OUTLINES, &boxes)?;
+        stream.log_static("camera", &::rerun::Pinhole::from_focal_length_and_resolution([width, width], [offset_px(width) + width, height]))
+    }
+}
+
+/// Where the keyframe lies beside the frame.
+struct Placement<'a> {
+    matched: &'a MatchedKeyframe,
+    offset_px: f32,
+    /// Pixels of the frame that a pixel of the keyframe covers.
+    scale: f32,
+    /// The same for a pixel of the thumbnail, along x and y.
+    thumbnail_scale: [f32; 2],
+}
+
+impl<'a> Placement<'a> {
+    /// `None` if the keyframe has no size or its thumbnail is no JPEG.
+    fn new(frame: &Frame, matched: &'a MatchedKeyframe) -> Option<Self> {
+        let (thumbnail_width, thumbnail_height) = jpeg::size_px(&matched.thumbnail_jpeg)?;
+        let (width, height) = (matched.width_px as f32, matched.height_px as f32);
+        let frame_size = (frame.colour.width() as f32, frame.colour.height() as f32);
+        let scale = (frame_size.0 / width).min(frame_size.1 / height);
+        (scale.is_finite() && scale > 0.0).then(|| Self {
+            matched,
+            offset_px: offset_px(frame_size.0),
+            scale,
+            thumbnail_scale: [width / f32::from(thumbnail_width), height / f32::from(thumbnail_height)],
+        })
+    }
+
+    fn show(&self, stream: &RecordingStream, record: &FrameRecord) -> RecordingStreamResult<()> {
+        let space = Transform3D::from_translation([self.offset_px, 0.0, 0.0])
+            .with_scale([self.scale, self.scale, 1.0]);
+        stream.log(style::KEYFRAME, &space)?;
+        let [x, y] = self.thumbnail_scale;
+        let thumbnail = encoded(&self.matched.thumbnail_jpeg).with_draw_order(UNDER);
+        let enlarged = Transform3D::from_scale([x, y, 1.0]);
+        stream.log(style::KEYFRAME_IMAGE, &[&enlarged as &dyn AsComponents, &thumbnail])?;
+        let none = Verification::default();
+        let verification = record.recognition.verification.as_ref().unwrap_or(&none);
+        let inliers: Vec<&Correspondence> = inliers(verification).collect();
+        let lines = inliers.iter().map(|pair| self.line(pair));
+        let lines =
+            LineStrips2D::new(lines).with_radii([Radius::new_ui_points(0.6)]).with_colors([style::GREEN]);
+        stream.log(style::LINES, &lines.with_draw_order(OVER))?;
+        let in_frame = inliers.iter().map(|pair| xy(pair.query_point.point));
+        stream.log(style::FRAME_INLIERS, &dots(in_frame, style::YELLOW))?;
+        let in_keyframe = inliers.iter().map(|pair| xy(pair.keyframe_point.point));
+        stream.log(style::KEYFRAME_INLIERS, &dots(in_keyframe, style::YELLOW))
+    }
+
+    fn line(&self, pair: &Correspondence) -> [[f32; 2]; 2] {
+        let [x, y] = xy(pair.keyframe_point.point);
+        [xy(pair.query_point.point), [self.offset_px + self.scale * x, self.scale * y]]
+    }
+}
+
+fn inliers(verification: &Verification) -> impl Iterator<Item = &Correspondence> {
+    verification.inliers.iter().filter_map(|&index| verification.correspondences.get(index as usize))
+}
+
+fn offset_px(frame_width_px: f32) -> f32 {
+    frame_width_px * (1.0 + GAP)
+}
+
+fn xy(point: Point) -> [f32; 2] {
+    [point.x, point.y]
+}
+
+fn dots(places: impl Iterator<Item = [f32; 2]>, colour: Color) -> Points2D {
+    Points2D::new(places)
+        .with_radii([Radius::new_ui_points(1.8)])
+        .with_colors([colour])
+        .with_draw_order(OVER + 1.0)
+}
+
+fn encoded(jpeg: &[u8]) -> EncodedImage {
+    EncodedImage::new(jpeg).with_media_type("image/jpeg").with_draw_order(UNDER)
+}
+
+/// A picture without a JPEG, in half the bytes of its pixels: luma, and chroma of every second pixel of
+/// every second row (NV12, ITU-R BT.601). An odd side keeps it as it is.
+fn raw(colour: &RgbImage, grey: &GreyImage) -> Image {
+    let (width, height) = (colour.width(), colour.height());
+    let size = [width as u32, height as u32];
+    let is_even = width.is_multiple_of(2) && height.is_multiple_of(2);
+    let image = if is_even && (grey.width(), grey.height()) == (width, height) {
+        Image::from_pixel_format(size, PixelFormat::NV12, nv12(colour, grey))
+    } else {
+        Image::from_rgb24(colour.pixels(), size)
+    };
+    image.with_draw_order(UNDER)
+}
+
+fn nv12(colour: &RgbImage, grey: &GreyImage) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(colour.pixels().len() / 2);
+    // Luma keeps to 16 … 235, chroma to 16 … 240.
+    bytes.extend(grey.pixels().iter().map(|&luma| (16 + ((u32::from(luma) * 220) >> 8)) as u8));
+    for y in (0..colour.height()).step_by(2) {
+        for pixel in colour.row(y).chunks_exact(6) {
+            let [red, green, blue] = [0, 1, 2].map(|channel| i32::from(pixel[channel]));
+            let chroma = |weighted: i32| ((weighted + (128 << 8) + 128) >> 8).clamp(16, 240) as u8;
+            bytes.push(chroma(-38 * red - 74 * green + 112 * blue));
+            bytes.push(chroma(112 * red - 94 * green - 18 * blue));
+        }
+    }
+    bytes
+}

@@ -1,0 +1,93 @@
+//! Entity paths and colours: the names that scene, answer and blueprint share.
+//!
+//! The colours are those of Okabe and Ito (*Color Universal Design*, 2008), which all kinds of colour
+//! vision tell apart.
+
+use ::rerun::{Color, Rgba32};
+
+use crate::recognition::Decision;
+
+/// The frame as it came from the camera.
+pub(super) const CAMERA_IMAGE: &str = "camera/image";
+/// Its ORB keypoints.
+pub(super) const KEYPOINTS: &str = "camera/image/keypoints";
+
+/// All of what a match shows; cleared when there is none.
+pub(super) const MATCH: &str = "camera/match";
+/// Inliers in the frame.
+pub(super) const FRAME_INLIERS: &str = "camera/match/frame_inliers";
+/// From each inlier of the frame to its counterpart in the keyframe.
+pub(super) const LINES: &str = "camera/match/lines";
+/// The keyframe's space: pixels of the keyframe, moved to the right of the frame.
+pub(super) const KEYFRAME: &str = "camera/match/keyframe";
+/// The keyframe's thumbnail.
+pub(super) const KEYFRAME_IMAGE: &str = "camera/match/keyframe/image";
+/// Inliers in the keyframe.
+pub(super) const KEYFRAME_INLIERS: &str = "camera/match/keyframe/inliers";
+/// The outlines of frame and keyframe, which hold the view still when there is no match.
+pub(super) const OUTLINES: &str = "camera/outlines";
+
+/// The place over time.
+pub(super) const PLACE: &str = "recognition/place";
+/// Probability that the decision is right.
+pub(super) const CONFIDENCE: &str = "recognition/confidence";
+/// Effective inliers of verified matches.
+pub(super) const INLIERS: &str = "recognition/inliers";
+/// The answer, in words.
+pub(super) const NOW: &str = "recognition/now";
+/// The answers so far, a line each.
+pub(super) const LOG: &str = "recognition/log";
+
+/// Stages with the paths of their latencies and colours.
+pub(super) const LATENCIES: [(&str, &str, Color); 6] = [
+    ("latency/total", "total", WHITE),
+    ("latency/decode", "decode", GREY),
+    ("latency/features", "features", GREEN),
+    ("latency/cnn", "CNN", BLUE),
+    ("latency/retrieval", "retrieval", YELLOW),
+    ("latency/verification", "verification", PURPLE),
+];
+
+const fn rgb(hex: u32) -> Color {
+    Color(Rgba32(hex << 8 | 0xFF))
+}
+
+pub(super) const WHITE: Color = rgb(0xE6E6E6);
+pub(super) const GREY: Color = rgb(0x8C8C8C);
+pub(super) const FAINT: Color = rgb(0x404040);
+pub(super) const BLUE: Color = rgb(0x56B4E9);
+pub(super) const GREEN: Color = rgb(0x009E73);
+pub(super) const YELLOW: Color = rgb(0xF0E442);
+pub(super) const ORANGE: Color = rgb(0xE69F00);
+pub(super) const PURPLE: Color = rgb(0xCC79A7);
+
+/// All decisions.
+pub(super) const DECISIONS: [Decision; 5] =
+    [Decision::Recognised, Decision::Revisited, Decision::SamePlace, Decision::NewPlace, Decision::Unknown];
+
+/// A decision as people read it.
+pub(super) fn words(decision: Decision) -> &'static str {
+    match decision {
+        Decision::Recognised => "recognised",
+        Decision::Revisited => "revisited",
+        Decision::SamePlace => "same place",
+        Decision::NewPlace => "new place",
+        Decision::Unknown => "unknown",
+    }
+}
+
+/// The colour of a decision.
+pub(super) fn colour(decision: Decision) -> Color {
+    match decision {
+        Decision::Recognised => BLUE,
+        Decision::Revisited => GREEN,
+        Decision::SamePlace => GREY,
+        Decision::NewPlace => ORANGE,
+        Decision::Unknown => PURPLE,
+    }
+}
+
+/// Where the places of frames with this decision are plotted.
+pub(super) fn place_path(decision: Decision) -> String {
+    format!("{PLACE}/{}", decision.as_str())
+}
