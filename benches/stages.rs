@@ -29,7 +29,8 @@ fn stages(criterion: &mut Criterion) {
     let bow = |features: &Features| {
         BowVector::new(features.descriptors.iter().map(|d| vocabulary.quantise(d).word), &vocabulary)
     };
-    criterion.bench_function("vocabulary/bow_of_1000", |bencher| bencher.iter(|| bow(black_box(&features[0]))));
+    criterion
+        .bench_function("vocabulary/bow_of_1000", |bencher| bencher.iter(|| bow(black_box(&features[0]))));
 
     let vectors: Vec<BowVector> = features.iter().map(bow).collect();
     let mut index = InvertedIndex::new(vocabulary.word_count());

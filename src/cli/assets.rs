@@ -17,7 +17,9 @@ pub(super) fn find(named: Option<&Path>, shipped: &str, flag: &str) -> anyhow::R
         return Ok(path.to_owned());
     }
     let found = roots().into_iter().map(|root| root.join(shipped)).find(|path| path.exists());
-    found.ok_or_else(|| anyhow::anyhow!("{shipped} not found here nor beside the program; name it with {flag}"))
+    found.ok_or_else(|| {
+        anyhow::anyhow!("{shipped} not found here nor beside the program; name it with {flag}")
+    })
 }
 
 /// The working folder; the program's folder and those above it, as in a build tree or an unpacked

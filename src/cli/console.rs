@@ -97,7 +97,10 @@ pub(super) fn summary_text(summary: &RunSummary) -> String {
         count(Decision::Unknown),
     );
     if summary.lost_something() {
-        text += &format!("\n{} frames skipped, {} without the CNN's answer", summary.skipped, summary.cnn_failures);
+        text += &format!(
+            "\n{} frames skipped, {} without the CNN's answer",
+            summary.skipped, summary.cnn_failures
+        );
     }
     if let Some(map) = &summary.map {
         let mib = map.journal_bytes as f64 / f64::from(1 << 20);

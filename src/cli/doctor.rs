@@ -116,9 +116,8 @@ fn rerun() -> Finding {
         let detail = "not in this build; build with `--features rerun`".to_owned();
         return Finding { part, health: Health::Warn, detail };
     }
-    let on_path = std::env::var_os("PATH").is_some_and(|path| {
-        std::env::split_paths(&path).any(|folder| folder.join("rerun").is_file())
-    });
+    let on_path = std::env::var_os("PATH")
+        .is_some_and(|path| std::env::split_paths(&path).any(|folder| folder.join("rerun").is_file()));
     let detail = if on_path {
         "recording and viewer".to_owned()
     } else {

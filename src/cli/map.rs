@@ -85,6 +85,9 @@ fn info(arguments: &InfoArguments) -> anyhow::Result<Outcome> {
     if info.torn_bytes == 0 {
         return Ok(Outcome::Done);
     }
-    eprintln!("loci: {} bytes of a torn last record; the next run with this map cuts them off", info.torn_bytes);
+    eprintln!(
+        "loci: {} bytes of a torn last record; the next run with this map cuts them off",
+        info.torn_bytes
+    );
     Ok(Outcome::Lost)
 }

@@ -26,7 +26,8 @@ pub(super) fn pipeline(
     let rerun = rerun_sink(settings.rerun.as_deref())?;
     let sample_interval = settings.sample_interval.map(|interval| u64::from(interval.get()));
     let source = source::open(source, sample_interval)?;
-    let vocabulary = Vocabulary::open(&assets::find(settings.vocab.as_deref(), assets::VOCABULARY, "--vocab")?)?;
+    let vocabulary =
+        Vocabulary::open(&assets::find(settings.vocab.as_deref(), assets::VOCABULARY, "--vocab")?)?;
     let model = open_cnn(settings)?;
     let options = recognition_options(settings);
     let map = match (&settings.map, options.read_only) {
@@ -88,7 +89,8 @@ fn report_condition(map: &PlaceMap, card: Option<&ModelCard>) {
 #[cfg(feature = "rerun")]
 fn rerun_sink(target: Option<&str>) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
     use loci::telemetry::{RerunSink, RerunTarget};
-    let target: RerunTarget = target.unwrap_or("off").parse().map_err(|error| WrongArgument(format!("{error}")))?;
+    let target: RerunTarget =
+        target.unwrap_or("off").parse().map_err(|error| WrongArgument(format!("{error}")))?;
     if target == RerunTarget::Off {
         return Ok(None);
     }

@@ -27,7 +27,9 @@ pub(super) enum VocabCommand {
 
 /// Arguments of `loci vocab train`.
 #[derive(Args)]
-#[command(after_help = "Example:\n  loci vocab train photos/hall photos/yard --branching 10 --depth 5 --out site.lvoc")]
+#[command(
+    after_help = "Example:\n  loci vocab train photos/hall photos/yard --branching 10 --depth 5 --out site.lvoc"
+)]
 pub(super) struct TrainArguments {
     /// Folders of images, or synthetic:… worlds
     #[arg(required = true)]
@@ -87,11 +89,8 @@ pub(super) fn run(command: VocabCommand) -> anyhow::Result<Outcome> {
 
 fn learn(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let (images, skipped) = descriptors(&arguments.sources)?;
-    let options = TrainingOptions {
-        branching: arguments.branching,
-        depth: arguments.depth,
-        seed: arguments.seed,
-    };
+    let options =
+        TrainingOptions { branching: arguments.branching, depth: arguments.depth, seed: arguments.seed };
     let vocabulary = train(&images, options)?;
     vocabulary.save(&arguments.out)?;
     print(&describe(&vocabulary, arguments.out.display().to_string(), true), arguments.json)?;
@@ -101,7 +100,8 @@ fn learn(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
 /// The descriptors of every image of `sources`, and how many images could not be read.
 fn descriptors(sources: &[String]) -> anyhow::Result<(Vec<Vec<Descriptor>>, usize)> {
     let extractor = OrbExtractor::new(OrbOptions::default());
-    let mut sources: Vec<_> = sources.iter().map(|source| source::open(source, None)).collect::<Result<_, _>>()?;
+    let mut sources: Vec<_> =
+        sources.iter().map(|source| source::open(source, None)).collect::<Result<_, _>>()?;
     let frames = sources.iter().map(|source| source.frame_count()).sum();
     let progress = progress_bar(frames, ProgressDrawTarget::stderr());
     let (mut images, mut skipped) = (Vec::new(), 0);

@@ -40,7 +40,10 @@ pub enum CnnError {
         reason: String,
     },
     /// A process can hold one ONNX Runtime, and it holds another one already.
-    #[error("{}: this process already uses {}; one process can load one ONNX Runtime", wanted.display(), loaded.display())]
+    #[error(
+        "{}: this process already uses {}; one process can load one ONNX Runtime",
+        wanted.display(), loaded.display()
+    )]
     AnotherRuntimeLoaded {
         /// The library in use.
         loaded: PathBuf,

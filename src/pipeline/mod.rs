@@ -1,4 +1,4 @@
-//! The stream: the only threads and queues of the program.
+//! The stream: its threads and the queues between them.
 //!
 //! ```text
 //! capture ─┬─> features ─┐

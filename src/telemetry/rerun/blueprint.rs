@@ -2,54 +2,154 @@
 //!
 //! Above, the camera with its keypoints and, twice as wide, the frame beside the matched keyframe;
 //! below, places and measures over time, the current answer and the log. Side panels are folded away.
+//!
+//! rerun's Rust layouts of 0.36 lack most properties of views, such as the part of the plane that a 2-D
+//! view shows and where the legend of a plot stands. They are logged into the layout's own store here,
+//! as its Python layouts do.
 
+use ::rerun::blueprint::components::{Corner2D, PanelState, TextLogColumn, VisualBounds2D};
+use ::rerun::blueprint::datatypes::{self, TextLogColumnKind};
 use ::rerun::blueprint::{
-    Blueprint, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial2DView, Tabs,
-    TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical, components::PanelState,
+    Blueprint, BlueprintActivation, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial2DView,
+    Tabs, TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical,
+};
+use ::rerun::components::Visible;
+use ::rerun::datatypes::{Bool, Range1D, Range2D};
+use ::rerun::log::LogMsg;
+use ::rerun::{
+    Component, ComponentBatch, ComponentDescriptor, RecordingStream, RecordingStreamBuilder,
+    RecordingStreamResult, SerializedComponentBatch,
 };
 
 use super::style;
 
-/// The layout.
-pub(super) fn blueprint() -> Blueprint {
-    let pictures = Horizontal::new([
-        Spatial2DView::new("Camera").with_origin(style::CAMERA_IMAGE).into(),
-        Spatial2DView::new("Frame and matched keyframe")
-            .with_origin("camera").with_contents(["camera/**", "- camera/image/keypoints"])
-            .into(),
-    ]);
-    let answers = Horizontal::new([
-        Vertical::new([series("Place", style::PLACE), measures()]).with_row_shares([1.0, 1.0]).into(),
-        Vertical::new([
+/// Margin around pictures, as a share of their height.
+const MARGIN: f32 = 0.02;
+
+/// Sends the layout for a camera picture and a match view of these widths and this height in pixels.
+/// A viewer in which the layout was changed keeps the changes.
+pub(super) fn send(
+    stream: &RecordingStream,
+    widths_px: [f32; 2],
+    height_px: f32,
+) -> RecordingStreamResult<()> {
+    let mut layout = Layout::default();
+    let blueprint = layout.blueprint(widths_px, height_px);
+    let (carrier, messages) = RecordingStreamBuilder::new(super::APPLICATION).memory()?;
+    blueprint.send(&carrier, BlueprintActivation { make_active: false, make_default: true })?;
+    let (mut layout_messages, mut activation) = (Vec::new(), None);
+    for message in messages.take() {
+        match message {
+            LogMsg::BlueprintActivationCommand(command) => activation = Some(command),
+            message if message.store_id().is_blueprint() => layout_messages.push(message),
+            _ => {}
+        }
+    }
+    if let Some(activation) = activation {
+        let store = RecordingStreamBuilder::from_store_id(&activation.blueprint_id).send_properties(false);
+        let (store, messages) = store.memory()?;
+        store.set_time_sequence("blueprint", 0);
+        for (path, properties) in layout.properties {
+            store.log_serialized_batches(path, false, properties)?;
+        }
+        layout_messages.extend(messages.take());
+        stream.send_blueprint(layout_messages, activation);
+    }
+    Ok(())
+}
+
+/// Properties of views, by their path in the layout's store.
+#[derive(Default)]
+struct Layout {
+    properties: Vec<(String, Vec<SerializedComponentBatch>)>,
+}
+
+impl Layout {
+    fn blueprint(&mut self, [camera_width_px, match_width_px]: [f32; 2], height_px: f32) -> Blueprint {
+        let camera = Spatial2DView::new("Camera").with_origin("camera");
+        let matched = Spatial2DView::new("Frame and matched keyframe")
+            .with_contents([style::CAMERA_IMAGE.to_owned(), "match/**".to_owned()]);
+        let pictures = Horizontal::new([
+            self.shows(camera.into(), camera_width_px, height_px),
+            self.shows(matched.into(), match_width_px, height_px),
+        ]);
+        let measures = Tabs::new([
+            self.series("Confidence", style::CONFIDENCE, None),
+            self.series("Effective inliers", style::INLIERS, None),
+            self.series("Latency in ms", "latency", Some(Corner2D::LeftTop)),
+        ]);
+        let curves =
+            Vertical::new([self.series("Place", style::PLACE, Some(Corner2D::LeftTop)), measures.into()]);
+        let words = Vertical::new([
             TextDocumentView::new("Answer").with_origin(style::NOW).into(),
-            TextLogView::new("Log").with_origin(style::LOG).into(),
-        ])
-        .with_row_shares([1.4, 1.0])
-        .into(),
-    ]);
-    Blueprint::new(
-        Vertical::new([
-            pictures.with_column_shares([1.0, 2.0]).into(),
-            answers.with_column_shares([1.0, 1.0]).into(),
-        ])
-        .with_row_shares([1.0, 1.1]),
-    )
-    .with_auto_views(false)
-    .with_auto_layout(false)
-    .with_blueprint_panel(BlueprintPanel::new().with_state(PanelState::Hidden))
-    .with_selection_panel(SelectionPanel::new().with_state(PanelState::Hidden))
-    .with_time_panel(TimePanel::new().with_state(PanelState::Collapsed).with_timeline(super::FRAME_TIMELINE))
+            self.log(TextLogView::new("Log").with_origin(style::LOG).into()),
+        ]);
+        let answers = Horizontal::new([curves.into(), words.with_row_shares([1.3, 1.0]).into()]);
+        let all = Vertical::new([pictures.with_column_shares([1.0, 2.0]).into(), answers.into()]);
+        Blueprint::new(all.with_row_shares([1.0, 1.25]))
+            .with_auto_views(false)
+            .with_auto_layout(false)
+            .with_blueprint_panel(BlueprintPanel::new().with_state(PanelState::Hidden))
+            .with_selection_panel(SelectionPanel::new().with_state(PanelState::Hidden))
+            .with_time_panel(
+                TimePanel::new().with_state(PanelState::Collapsed).with_timeline(super::FRAME_TIMELINE),
+            )
+    }
+
+    /// Pictures stand still whatever is drawn on them.
+    fn shows(&mut self, view: ContainerLike, width_px: f32, height_px: f32) -> ContainerLike {
+        let margin = f64::from(MARGIN * height_px);
+        let range = |side: f32| Range1D([-margin, f64::from(side) + margin]);
+        let bounds = VisualBounds2D(Range2D { x_range: range(width_px), y_range: range(height_px) });
+        self.set(&view, "VisualBounds2D", [property("VisualBounds2D:range", &[bounds])]);
+        view
+    }
+
+    /// A single curve, named by its tab, needs no legend.
+    fn series(&mut self, name: &str, origin: &str, legend: Option<Corner2D>) -> ContainerLike {
+        let view = TimeSeriesView::new(name).with_origin(origin).into();
+        let visible = Visible(Bool(legend.is_some()));
+        self.set(
+            &view,
+            "PlotLegend",
+            [
+                property("PlotLegend:visible", &[visible]),
+                property("PlotLegend:corner", &[legend.unwrap_or_default()]),
+            ],
+        );
+        view
+    }
+
+    /// All lines are of one entity.
+    fn log(&mut self, view: ContainerLike) -> ContainerLike {
+        let column = |kind, visible| TextLogColumn(datatypes::TextLogColumn { visible: Bool(visible), kind });
+        let columns = [
+            column(TextLogColumnKind::EntityPath, false),
+            column(TextLogColumnKind::LogLevel, true),
+            column(TextLogColumnKind::Body, true),
+        ];
+        self.set(&view, "TextLogColumns", [property("TextLogColumns:text_log_columns", &columns)]);
+        view
+    }
+
+    fn set<const N: usize>(
+        &mut self,
+        view: &ContainerLike,
+        archetype: &str,
+        properties: [Option<SerializedComponentBatch>; N],
+    ) {
+        if let ContainerLike::View(view) = view {
+            let path = format!("{}/{archetype}", view.blueprint_path());
+            self.properties.push((path, properties.into_iter().flatten().collect()));
+        }
+    }
 }
 
-fn measures() -> ContainerLike {
-    Tabs::new([
-        series("Confidence", style::CONFIDENCE),
-        series("Effective inliers", style::INLIERS),
-        series("Latency in ms", "latency"),
-    ])
-    .into()
-}
-
-fn series(name: &str, origin: &str) -> ContainerLike {
-    TimeSeriesView::new(name).with_origin(origin).into()
+/// `component` is `Archetype:property`, as rerun names them.
+fn property<C: Component>(component: &'static str, values: &[C]) -> Option<SerializedComponentBatch>
+where
+    [C]: ComponentBatch,
+{
+    let (archetype, component_type) = (None, Some(C::name()));
+    values.serialized(ComponentDescriptor { archetype, component: component.into(), component_type })
 }

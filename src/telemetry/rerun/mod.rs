@@ -139,7 +139,7 @@ impl RecognitionSink for RerunSink {
 }
 
 fn open(target: &RerunTarget) -> Result<(RecordingStream, Option<Live>), String> {
-    let builder = RecordingStreamBuilder::new(APPLICATION).with_default_blueprint(blueprint::blueprint());
+    let builder = RecordingStreamBuilder::new(APPLICATION);
     match target {
         RerunTarget::Off => Ok((RecordingStream::disabled(), None)),
         RerunTarget::Save(file) => Ok((create(builder, file)?, None)),

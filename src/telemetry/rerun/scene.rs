@@ -8,7 +8,7 @@ use ::rerun::{
     RecordingStream, RecordingStreamResult, Transform3D,
 };
 
-use super::{jpeg, style};
+use super::{blueprint, jpeg, style};
 use crate::frame::Frame;
 use crate::geometry::Point;
 use crate::raster::{GreyImage, RgbImage};
@@ -56,19 +56,22 @@ impl Scene {
         }
     }
 
-    /// Draws the outlines of frame and keyframe, for good: they hold the view still.
+    /// Sends the layout when the first frame tells its size, and outlines frame and keyframe for good.
     fn outline(&mut self, stream: &RecordingStream, frame: &Frame) -> RecordingStreamResult<()> {
         let size_px = (frame.colour.width(), frame.colour.height());
+        let is_first = self.size_px.is_none();
         if self.size_px.replace(size_px) == Some(size_px) {
             return Ok(());
         }
         let (width, height) = (size_px.0 as f32, size_px.1 as f32);
+        if is_first {
+            blueprint::send(stream, [width, offset_px(width) + width], height)?;
+        }
         let boxes = Boxes2D::from_mins_and_sizes([[0.0, 0.0], [offset_px(width), 0.0]], [[width, height]; 2])
             .with_colors([style::FAINT])
             .with_radii([Radius::new_ui_points(0.5)])
             .with_draw_order(UNDER - 1.0);
-        stream.log_static(style::OUTLINES, &boxes)?;
-        stream.log_static("camera", &::rerun::Pinhole::from_focal_length_and_resolution([width, width], [offset_px(width) + width, height]))
+        stream.log_static(style::OUTLINES, &boxes)
     }
 }
 
@@ -149,7 +152,7 @@ fn encoded(jpeg: &[u8]) -> EncodedImage {
 
 /// A picture without a JPEG, in half the bytes of its pixels: luma, and chroma of every second pixel of
 /// every second row (NV12, ITU-R BT.601). An odd side keeps it as it is.
-fn raw(colour: &RgbImage, grey: &GreyImage) -> Image {
+pub(super) fn raw(colour: &RgbImage, grey: &GreyImage) -> Image {
     let (width, height) = (colour.width(), colour.height());
     let size = [width as u32, height as u32];
     let is_even = width.is_multiple_of(2) && height.is_multiple_of(2);
@@ -161,7 +164,8 @@ fn raw(colour: &RgbImage, grey: &GreyImage) -> Image {
     image.with_draw_order(UNDER)
 }
 
-fn nv12(colour: &RgbImage, grey: &GreyImage) -> Vec<u8> {
+/// 4:2:0 chroma, interleaved, after full luma.
+pub(super) fn nv12(colour: &RgbImage, grey: &GreyImage) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(colour.pixels().len() / 2);
     // Luma keeps to 16 … 235, chroma to 16 … 240.
     bytes.extend(grey.pixels().iter().map(|&luma| (16 + ((u32::from(luma) * 220) >> 8)) as u8));

@@ -13,19 +13,19 @@ pub(super) const CAMERA_IMAGE: &str = "camera/image";
 pub(super) const KEYPOINTS: &str = "camera/image/keypoints";
 
 /// All of what a match shows; cleared when there is none.
-pub(super) const MATCH: &str = "camera/match";
+pub(super) const MATCH: &str = "match/now";
 /// Inliers in the frame.
-pub(super) const FRAME_INLIERS: &str = "camera/match/frame_inliers";
+pub(super) const FRAME_INLIERS: &str = "match/now/frame_inliers";
 /// From each inlier of the frame to its counterpart in the keyframe.
-pub(super) const LINES: &str = "camera/match/lines";
+pub(super) const LINES: &str = "match/now/lines";
 /// The keyframe's space: pixels of the keyframe, moved to the right of the frame.
-pub(super) const KEYFRAME: &str = "camera/match/keyframe";
+pub(super) const KEYFRAME: &str = "match/now/keyframe";
 /// The keyframe's thumbnail.
-pub(super) const KEYFRAME_IMAGE: &str = "camera/match/keyframe/image";
+pub(super) const KEYFRAME_IMAGE: &str = "match/now/keyframe/image";
 /// Inliers in the keyframe.
-pub(super) const KEYFRAME_INLIERS: &str = "camera/match/keyframe/inliers";
-/// The outlines of frame and keyframe, which hold the view still when there is no match.
-pub(super) const OUTLINES: &str = "camera/outlines";
+pub(super) const KEYFRAME_INLIERS: &str = "match/now/keyframe/inliers";
+/// The outlines of frame and keyframe, so that a missing match is seen as such.
+pub(super) const OUTLINES: &str = "match/outlines";
 
 /// The place over time.
 pub(super) const PLACE: &str = "recognition/place";

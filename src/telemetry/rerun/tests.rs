@@ -1,1 +1,331 @@
+//! Recordings are read back with rerun's own decoder.
 
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use ::rerun::external::re_log_encoding::DecoderApp;
+use ::rerun::log::{Chunk, LogMsg};
+
+use super::*;
+use crate::feature::{Features, Keypoint};
+use crate::frame::Frame;
+use crate::geometry::{OrientedPoint, Point};
+use crate::place_map::{ExperienceId, PlaceId};
+use crate::raster::RgbImage;
+use crate::recognition::{Candidate, Candidates, Decision, Evidence, Look, Recognition, Rejection};
+use crate::telemetry::{CnnStatus, MatchedKeyframe, StageLatency};
+use crate::verification::{Correspondence, Verification};
+
+/// The header of a JPEG of 64×48 pixels, which is all that the sink looks at.
+const JPEG: [u8; 13] = [0xFF, 0xD8, 0xFF, 0xC0, 0, 17, 8, 0, 48, 0, 64, 3, 1];
+
+fn keypoint(x: f32, y: f32) -> Keypoint {
+    Keypoint { point: Point { x, y }, scale: 1.0, angle_radians: 0.0, response: 30 }
+}
+
+fn record(index: u64, decision: Decision) -> FrameRecord {
+    let colour = RgbImage::new(64, 48);
+    let frame = Frame {
+        index,
+        capture_nanos: 1_723_456_789_000_000_000 + index as i64,
+        name: format!("{index}.jpg"),
+        grey: colour.to_grey(),
+        colour,
+        jpeg: Some(JPEG.to_vec()),
+        pose: None,
+        true_place: None,
+    };
+    let features = Features {
+        width_px: 64,
+        height_px: 48,
+        keypoints: vec![keypoint(10.0, 20.0), keypoint(30.0, 40.0)],
+        descriptors: Vec::new(),
+    };
+    let rejected = Candidate {
+        place: PlaceId(9),
+        keyframe: ExperienceId(80),
+        by: Evidence::BowHv,
+        score: 0.041,
+        inliers: Some(6),
+        rejected: Some(Rejection::Inliers { got: 6, needed: 12 }),
+    };
+    let recognition = Recognition {
+        decision,
+        by: None,
+        place: (decision != Decision::Unknown).then_some(PlaceId(17)),
+        name: Some("dock|*3*\n# x".to_owned()),
+        keyframe: None,
+        confidence: 0.993,
+        inliers: None,
+        candidates: Candidates::from_iter([rejected]),
+        verification: None,
+    };
+    FrameRecord {
+        frame: Arc::new(frame),
+        look: Arc::new(Look { features, ..Look::default() }),
+        recognition,
+        matched: None,
+        cnn: CnnStatus::Available,
+        latency: StageLatency { total_us: 2600, ..StageLatency::default() },
+    }
+}
+
+/// A record of a frame that was matched with a keyframe by two inliers and an outlier.
+fn matched(index: u64) -> FrameRecord {
+    let at = |x, y| OrientedPoint { point: Point { x, y }, scale: 1.0, angle_radians: 0.0 };
+    let pair = |index: u32| Correspondence {
+        query: index,
+        keyframe: index,
+        query_point: at(10.0, 20.0),
+        keyframe_point: at(12.0, 21.0),
+    };
+    let mut record = record(index, Decision::Revisited);
+    record.recognition.by = Some(Evidence::BowHv);
+    record.recognition.inliers = Some(2);
+    record.recognition.verification = Some(Verification {
+        correspondences: (0..3).map(pair).collect(),
+        inliers: vec![0, 2],
+        effective_inliers: 2,
+        keyframe_from_query: None,
+    });
+    record.matched = Some(MatchedKeyframe {
+        experience: ExperienceId(3),
+        frame_name: "3.jpg".to_owned(),
+        width_px: 128,
+        height_px: 96,
+        thumbnail_jpeg: JPEG.to_vec(),
+    });
+    record
+}
+
+/// Records to a file and answers the chunks it holds, by entity path.
+fn recorded(records: &[FrameRecord]) -> BTreeMap<String, Vec<Chunk>> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.rrd");
+    let mut sink = RerunSink::open(&RerunTarget::Save(file.clone())).unwrap();
+    for record in records {
+        sink.record(record).unwrap();
+    }
+    sink.finish().unwrap();
+    assert!(ends_complete(&file));
+    let mut chunks: BTreeMap<String, Vec<Chunk>> = BTreeMap::new();
+    for message in DecoderApp::decode_eager(BufReader::new(File::open(file).unwrap())).unwrap() {
+        if let LogMsg::ArrowMsg(store, message) = message.unwrap()
+            && store.is_recording()
+        {
+            let chunk = Chunk::from_arrow_msg(&message).unwrap();
+            chunks.entry(chunk.entity_path().to_string()).or_default().push(chunk);
+        }
+    }
+    chunks
+}
+
+fn rows(chunks: &BTreeMap<String, Vec<Chunk>>, path: &str) -> usize {
+    chunks
+        .get(&format!("/{path}"))
+        .into_iter()
+        .flatten()
+        .filter(|chunk| !chunk.is_static())
+        .map(Chunk::num_rows)
+        .sum()
+}
+
+/// All values of a component of `path`, as text.
+fn values(chunks: &BTreeMap<String, Vec<Chunk>>, path: &str, component: &str) -> String {
+    let of_path = chunks.get(&format!("/{path}")).into_iter().flatten();
+    let columns = of_path.flat_map(|chunk| chunk.components().iter());
+    columns
+        .filter(|(_, column)| column.descriptor.component.as_str() == component)
+        .map(|(_, column)| format!("{:?}", column.list_array))
+        .collect()
+}
+
+#[test]
+fn a_recording_holds_every_frame_and_is_complete() {
+    let records = [record(0, Decision::NewPlace), record(1, Decision::SamePlace), matched(2)];
+    let chunks = recorded(&records);
+    for path in
+        [style::CAMERA_IMAGE, style::KEYPOINTS, style::PLACE, style::CONFIDENCE, style::NOW, style::LOG]
+    {
+        assert_eq!(rows(&chunks, path), 3, "{path}");
+    }
+    for (path, ..) in style::LATENCIES {
+        assert_eq!(rows(&chunks, path), 3, "{path}");
+    }
+    assert_eq!(rows(&chunks, style::INLIERS), 1);
+    for decision in [Decision::NewPlace, Decision::SamePlace, Decision::Revisited] {
+        assert_eq!(rows(&chunks, &style::place_path(decision)), 1);
+    }
+}
+
+#[test]
+fn frames_are_on_their_own_timelines_and_no_clock_of_ours_is() {
+    let chunks = recorded(&[record(7, Decision::NewPlace)]);
+    let mut timelines: Vec<String> =
+        chunks["/camera/image"][0].timelines().keys().map(|timeline| timeline.to_string()).collect();
+    timelines.sort();
+    assert_eq!(timelines, [TIME_TIMELINE, FRAME_TIMELINE]);
+    let times = |chunks: &BTreeMap<String, Vec<Chunk>>| {
+        let time = chunks["/camera/image"][0].timelines()[&TIME_TIMELINE.into()].clone();
+        (time.timeline().typ(), time.times_raw().to_vec())
+    };
+    let date = times(&chunks);
+    assert_eq!(date, (::rerun::time::TimeType::TimestampNs, vec![1_723_456_789_000_000_007]));
+    let mut early = record(7, Decision::NewPlace);
+    Arc::get_mut(&mut early.frame).unwrap().capture_nanos = 40_000_000;
+    assert_eq!(times(&recorded(&[early])), (::rerun::time::TimeType::DurationNs, vec![40_000_000]));
+}
+
+#[test]
+fn only_inliers_are_joined_and_the_lines_end_in_the_keyframe() {
+    let chunks = recorded(&[matched(0)]);
+    let strips = values(&chunks, style::LINES, "LineStrips2D:strips");
+    // The keyframe is twice the frame's size, so it is halved, and stands at 64 × 1.03 px.
+    assert_eq!(strips.matches("10.0").count(), 2, "{strips}");
+    assert_eq!(strips.matches("71.92").count(), 2, "{strips}");
+    assert_eq!(strips.matches("10.5").count(), 2, "{strips}");
+}
+
+#[test]
+fn a_match_is_cleared_when_the_next_frame_has_none_and_only_then() {
+    let chunks = recorded(&[
+        record(0, Decision::NewPlace),
+        matched(1),
+        matched(2),
+        record(3, Decision::Unknown),
+        record(4, Decision::Unknown),
+    ]);
+    assert_eq!(rows(&chunks, style::KEYFRAME_IMAGE), 2);
+    assert_eq!(rows(&chunks, style::MATCH), 1);
+    let cleared = &chunks[&format!("/{}", style::MATCH)][0];
+    assert_eq!(cleared.timelines()[&FRAME_TIMELINE.into()].times_raw(), [3]);
+}
+
+#[test]
+fn a_jpeg_is_passed_on_untouched() {
+    let chunks = recorded(&[record(0, Decision::NewPlace)]);
+    let bytes = JPEG.map(|byte| byte.to_string()).join(", ");
+    let blob = one_line(&values(&chunks, style::CAMERA_IMAGE, "EncodedImage:blob"));
+    assert!(blob.contains(&bytes), "{blob}");
+}
+
+#[test]
+fn pixels_take_half_their_bytes_unless_a_side_is_odd() {
+    for (width, bytes) in [(64, 64 * 48 * 3 / 2), (63, 63 * 48 * 3)] {
+        let colour = RgbImage::new(width, 48);
+        let buffer = scene::raw(&colour, &colour.to_grey()).buffer.unwrap();
+        assert_eq!(buffer.array.to_data().child_data()[0].len(), bytes);
+    }
+}
+
+#[test]
+fn pixels_keep_their_colours() {
+    let pixels = |rgb: [u8; 3]| RgbImage::from_pixels(2, 2, rgb.repeat(4)).unwrap();
+    // Luma and chroma of BT.601 in its limited range.
+    for (rgb, yuv) in [
+        ([0, 0, 0], [16, 128, 128]),
+        ([255, 255, 255], [235, 128, 128]),
+        ([255, 0, 0], [82, 90, 240]),
+        ([0, 255, 0], [145, 54, 34]),
+        ([0, 0, 255], [41, 240, 110]),
+    ] {
+        let colour = pixels(rgb);
+        let bytes = scene::nv12(&colour, &colour.to_grey());
+        let found = [bytes[0], bytes[4], bytes[5]];
+        assert!(
+            found.iter().zip(yuv).all(|(&found, expected): (&u8, u8)| found.abs_diff(expected) <= 1),
+            "{rgb:?}: {found:?}"
+        );
+    }
+}
+
+#[test]
+fn names_from_outside_cannot_break_out_of_the_answer() {
+    let chunks = recorded(&[record(0, Decision::Recognised)]);
+    let page = values(&chunks, style::NOW, "TextDocument:text");
+    assert!(page.contains(r"dock\\|\\*3\\* \\# x") || page.contains(r"dock\|\*3\* \# x"), "{page}");
+    assert!(page.contains("inliers 6 < 12"), "{page}");
+    let log = values(&chunks, style::LOG, "TextLog:text");
+    assert!(log.contains("recognised place 17 (dock|*3* # x), 0.993; not 9: inliers 6 < 12"), "{log}");
+}
+
+#[test]
+fn a_file_that_cannot_be_written_is_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let refusal = |file: PathBuf| {
+        let message = RerunSink::open(&RerunTarget::Save(file.clone())).err().unwrap().to_string();
+        assert!(message.starts_with(&format!("rerun save={}: ", file.display())), "{message}");
+        assert!(!message.contains('\n'), "{message}");
+        message
+    };
+    let missing = folder.path().join("missing");
+    assert!(refusal(missing.join("run.rrd")).contains("there is no folder"));
+    assert!(!missing.exists());
+    let taken = folder.path().join("folder.rrd");
+    std::fs::create_dir(&taken).unwrap();
+    assert!(refusal(taken).contains("that is a folder"));
+    assert!(refusal("/proc/run.rrd".into()).contains("cannot write the file"));
+}
+
+#[test]
+fn a_full_disk_is_reported_at_the_end() {
+    let full = PathBuf::from("/dev/full");
+    if !full.exists() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.rrd");
+    std::os::unix::fs::symlink(full, &file).unwrap();
+    let message = match RerunSink::open(&RerunTarget::Save(file)) {
+        Err(error) => error.to_string(),
+        Ok(mut sink) => {
+            sink.record(&record(0, Decision::NewPlace)).unwrap();
+            sink.finish().unwrap_err().to_string()
+        }
+    };
+    assert!(message.contains("run.rrd: ") && !message.contains('\n'), "{message}");
+}
+
+#[test]
+fn nothing_is_shown_when_rerun_is_off_or_over() {
+    let mut off = RerunSink::open(&RerunTarget::Off).unwrap();
+    assert!(!off.shows_matched_keyframe());
+    off.record(&matched(0)).unwrap();
+    off.finish().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let mut over = RerunSink::open(&RerunTarget::Save(folder.path().join("run.rrd"))).unwrap();
+    assert!(over.shows_matched_keyframe());
+    over.finish().unwrap();
+    over.record(&matched(0)).unwrap();
+    over.finish().unwrap();
+}
+
+#[test]
+fn a_viewer_that_is_absent_holds_up_nobody_and_is_named_at_the_end() {
+    // A port of which we know that nobody listens on it: we hold it without listening.
+    let nobody = std::net::UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let mut sink = RerunSink::open(&RerunTarget::Connect(nobody.to_string())).unwrap();
+    let started = Instant::now();
+    for index in 0..500 {
+        sink.record(&matched(index)).unwrap();
+    }
+    assert!(started.elapsed() < Duration::from_secs(10), "recording took {:?}", started.elapsed());
+    let message = sink.finish().unwrap_err().to_string();
+    assert_eq!(message, format!("rerun connect={nobody}: no viewer answered; start one with `rerun`"));
+    assert!(started.elapsed() < Duration::from_secs(20), "took {:?} in all", started.elapsed());
+}
+
+#[test]
+fn what_is_served_or_sent_reaches_whoever_listens() {
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let mut server = RerunSink::open(&RerunTarget::Serve(free)).unwrap();
+    let mut client = RerunSink::open(&RerunTarget::Connect(free.to_string())).unwrap();
+    client.record(&matched(0)).unwrap();
+    client.finish().unwrap();
+    server.record(&matched(0)).unwrap();
+    server.finish().unwrap();
+}
