@@ -22,7 +22,7 @@ test-data: deps ## Tests on real sequences, found by LOCI_DATA
 lint: ## Formatting, clippy, licences and advisories, documentation
 	$(CARGO) fmt --check
 	$(CARGO) clippy --all-targets --features $(FEATURES) -- -D warnings
-	$(CARGO) deny --log-level error check
+	$(CARGO) deny --all-features --log-level error check bans licenses sources
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --no-deps --features $(FEATURES)
 
 bench: ## Criterion benches of the stages

@@ -48,7 +48,7 @@ const HOMES: [(&str, &[&str]); 21] = [
     ("serde_json", &["telemetry", "cli"]),
     ("toml", &["cnn", "cli"]),
     ("heapless", &["recognition", "retrieval", "verification"]),
-    ("rand_pcg", &["vocabulary", "verification", "source"]),
+    ("rand_pcg", &["vocabulary", "source"]),
 ];
 
 /// Modules of neighbours on the ground floor that may be used by the others there: a frame has pixels.
@@ -73,7 +73,7 @@ impl SourceFile {
     }
 
     fn code_lines(&self) -> impl Iterator<Item = &str> {
-        self.text.lines().filter(|line| !line.trim_start().starts_with("//"))
+        self.product().lines().filter(|line| !line.trim_start().starts_with("//"))
     }
 }
 

@@ -91,9 +91,8 @@ impl Pipeline {
                     (Some(to_cnn), Some(described))
                 }
             };
-            let capture = spawn("capture").spawn_scoped(scope, || {
-                stages::capture(source, stop, watcher, (to_features, to_cnn))
-            })?;
+            let capture = spawn("capture")
+                .spawn_scoped(scope, || stages::capture(source, stop, watcher, (to_features, to_cnn)))?;
             spawn("features").spawn_scoped(scope, move || {
                 stages::extract(&extractor, &vocabulary, captured, to_recognition);
             })?;

@@ -18,7 +18,7 @@ fn folder_with(files: &[(&str, &[u8])]) -> tempfile::TempDir {
 
 /// A JPEG with something to see.
 fn picture() -> Vec<u8> {
-    let pixels = (0..320 * 240 * 3).map(|i| ((i / 33) * 2_654_435_761_usize >> 7) as u8).collect();
+    let pixels = (0..320 * 240 * 3).map(|i| (((i / 33) * 2_654_435_761_usize) >> 7) as u8).collect();
     jpeg(&RgbImage::from_pixels(320, 240, pixels).unwrap())
 }
 

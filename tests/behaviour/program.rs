@@ -7,25 +7,25 @@ use std::process::Command;
 use serde_json::Value;
 
 /// What a finished run left: exit code, output and error text.
-pub struct Finished {
-    pub code: i32,
-    pub stdout: String,
-    pub stderr: String,
+pub(crate) struct Finished {
+    pub(crate) code: i32,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
 }
 
 impl Finished {
     /// The JSON object of every line on stdout.
-    pub fn records(&self) -> Vec<Value> {
+    pub(crate) fn records(&self) -> Vec<Value> {
         self.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
     }
 
     /// The decision of every record.
-    pub fn decisions(&self) -> Vec<String> {
+    pub(crate) fn decisions(&self) -> Vec<String> {
         self.records().iter().map(|record| record["decision"].as_str().unwrap().to_owned()).collect()
     }
 
     /// Asserts that the program failed with `code` and one line that contains all of `parts`.
-    pub fn assert_failed(&self, code: i32, parts: &[&str]) {
+    pub(crate) fn assert_failed(&self, code: i32, parts: &[&str]) {
         assert_eq!(self.code, code, "{}", self.stderr);
         let errors: Vec<&str> = self.stderr.lines().collect();
         assert_eq!(errors.len(), 1, "not one line: {}", self.stderr);
@@ -37,12 +37,12 @@ impl Finished {
 }
 
 /// Runs `loci` in the project's folder.
-pub fn loci<A: AsRef<OsStr>>(arguments: &[A]) -> Finished {
+pub(crate) fn loci<A: AsRef<OsStr>>(arguments: &[A]) -> Finished {
     finished(Command::new(env!("CARGO_BIN_EXE_loci")).args(arguments))
 }
 
 /// Runs `loci` where no ONNX Runtime can be found.
-pub fn loci_without_runtime<A: AsRef<OsStr>>(arguments: &[A]) -> Finished {
+pub(crate) fn loci_without_runtime<A: AsRef<OsStr>>(arguments: &[A]) -> Finished {
     let nowhere = tempfile::tempdir().unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_loci"));
     command.args(arguments).env("HOME", nowhere.path()).env("XDG_CACHE_HOME", nowhere.path());
@@ -62,12 +62,12 @@ fn finished(command: &mut Command) -> Finished {
 }
 
 /// `path` as an argument.
-pub fn text(path: &Path) -> &str {
+pub(crate) fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
 /// The folder of real sequences.
-pub fn real_data() -> PathBuf {
+pub(crate) fn real_data() -> PathBuf {
     let folder = std::env::var_os("LOCI_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
     assert!(folder.is_dir(), "no real sequences in {}: set LOCI_DATA", folder.display());
     folder

@@ -13,7 +13,7 @@ use ::rerun::blueprint::{
     Blueprint, BlueprintActivation, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial2DView,
     Tabs, TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical,
 };
-use ::rerun::components::Visible;
+use ::rerun::components::{self, Visible};
 use ::rerun::datatypes::{Bool, Range1D, Range2D};
 use ::rerun::log::LogMsg;
 use ::rerun::{
@@ -74,7 +74,7 @@ impl Layout {
             self.shows(matched.into(), match_width_px, height_px),
         ]);
         let measures = Tabs::new([
-            self.series("Confidence", style::CONFIDENCE, None),
+            self.confidence(),
             self.series("Effective inliers", style::INLIERS, None),
             self.series("Latency in ms", "latency", Some(Corner2D::LeftTop)),
         ]);
@@ -117,6 +117,14 @@ impl Layout {
                 property("PlotLegend:corner", &[legend.unwrap_or_default()]),
             ],
         );
+        view
+    }
+
+    fn confidence(&mut self) -> ContainerLike {
+        let view = self.series("Confidence", style::CONFIDENCE, None);
+        // A little above 1, so that the curve does not hide in the frame.
+        let range = components::Range1D(Range1D([0.0, 1.05]));
+        self.set(&view, "ScalarAxis", [property("ScalarAxis:range", &[range])]);
         view
     }
 

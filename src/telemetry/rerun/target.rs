@@ -183,7 +183,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_is_given_never_panics_and_is_refused_in_one_line(text in "(off|spawn|connect|serve|save)?=?\\PC{0,12}\n?") {
+        fn whatever_is_given_never_panics_and_is_refused_in_one_line(
+            text in "(off|spawn|connect|serve|save)?=?\\PC{0,12}\n?",
+        ) {
             if let Err(error) = text.parse::<RerunTarget>() {
                 prop_assert!(!error.to_string().contains('\n'));
             }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufReader;
+use std::net::TcpListener;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -306,8 +307,8 @@ fn nothing_is_shown_when_rerun_is_off_or_over() {
 
 #[test]
 fn a_viewer_that_is_absent_holds_up_nobody_and_is_named_at_the_end() {
-    // A port of which we know that nobody listens on it: we hold it without listening.
-    let nobody = std::net::UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    // Free a moment ago; that somebody takes it just now is most unlikely.
+    let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let mut sink = RerunSink::open(&RerunTarget::Connect(nobody.to_string())).unwrap();
     let started = Instant::now();
     for index in 0..500 {
@@ -320,8 +321,20 @@ fn a_viewer_that_is_absent_holds_up_nobody_and_is_named_at_the_end() {
 }
 
 #[test]
+fn a_viewer_that_answers_the_door_and_then_nothing_holds_up_nobody() {
+    let mute = TcpListener::bind("127.0.0.1:0").unwrap();
+    let mut sink = RerunSink::open(&RerunTarget::Connect(mute.local_addr().unwrap().to_string())).unwrap();
+    let started = Instant::now();
+    for index in 0..500 {
+        sink.record(&matched(index)).unwrap();
+    }
+    let _ = sink.finish();
+    assert!(started.elapsed() < Duration::from_secs(20), "took {:?}", started.elapsed());
+}
+
+#[test]
 fn what_is_served_or_sent_reaches_whoever_listens() {
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let mut server = RerunSink::open(&RerunTarget::Serve(free)).unwrap();
     let mut client = RerunSink::open(&RerunTarget::Connect(free.to_string())).unwrap();
     client.record(&matched(0)).unwrap();
