@@ -23,7 +23,7 @@ pub(super) fn pipeline(
     settings: &StreamSettings,
     mut sinks: Vec<Box<dyn RecognitionSink>>,
 ) -> anyhow::Result<Pipeline> {
-    let rerun = rerun_sink(settings.rerun.as_deref())?;
+    let rerun = rerun_target(settings.rerun.as_deref())?;
     let sample_interval = settings.sample_interval.map(|interval| u64::from(interval.get()));
     let source = source::open(source, sample_interval)?;
     let vocabulary =
@@ -39,7 +39,8 @@ pub(super) fn pipeline(
     report_condition(&map, model.as_ref().map(DescriptorModel::card));
     let card = model.as_ref().map(|model| model.card().clone());
     let recogniser = Recogniser::new(Arc::new(vocabulary), map, card, options);
-    sinks.extend(rerun);
+    // Last, so that a run that cannot start replaces no recording and opens no viewer.
+    sinks.extend(rerun_sink(&rerun)?);
     Ok(Pipeline { source, extractor: OrbExtractor::new(OrbOptions::default()), model, recogniser, sinks })
 }
 
@@ -87,22 +88,32 @@ fn report_condition(map: &PlaceMap, card: Option<&ModelCard>) {
 }
 
 #[cfg(feature = "rerun")]
-fn rerun_sink(target: Option<&str>) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
-    use loci::telemetry::{RerunSink, RerunTarget};
-    let target: RerunTarget =
-        target.unwrap_or("off").parse().map_err(|error| WrongArgument(format!("{error}")))?;
-    if target == RerunTarget::Off {
-        return Ok(None);
+type RerunTarget = loci::telemetry::RerunTarget;
+
+#[cfg(feature = "rerun")]
+fn rerun_target(text: Option<&str>) -> anyhow::Result<RerunTarget> {
+    Ok(text.unwrap_or("off").parse::<RerunTarget>().map_err(|error| WrongArgument(error.to_string()))?)
+}
+
+#[cfg(feature = "rerun")]
+fn rerun_sink(target: &RerunTarget) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
+    match target {
+        RerunTarget::Off => Ok(None),
+        target => Ok(Some(Box::new(loci::telemetry::RerunSink::open(target)?))),
     }
-    Ok(Some(Box::new(RerunSink::open(&target)?)))
 }
 
 #[cfg(not(feature = "rerun"))]
-fn rerun_sink(target: Option<&str>) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
-    match target.unwrap_or("off") {
-        "off" => Ok(None),
+fn rerun_target(text: Option<&str>) -> anyhow::Result<()> {
+    match text.unwrap_or("off") {
+        "off" => Ok(()),
         _ => Err(WrongArgument("this build has no rerun; build with `--features rerun`".to_owned()).into()),
     }
+}
+
+#[cfg(not(feature = "rerun"))]
+fn rerun_sink((): &()) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
+    Ok(None)
 }
 
 /// A flag that Ctrl-C and SIGTERM set. The second one ends the program at once.

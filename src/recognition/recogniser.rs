@@ -268,8 +268,7 @@ impl Recogniser {
         candidates: Candidates,
         verification: Option<Verification>,
     ) -> Recognition {
-        let probability = |candidate: &Candidate| self.probability(candidate);
-        let doubt = candidates.iter().map(probability).fold(0.0, f32::max);
+        let doubt = self.doubt(&candidates);
         let (decision, by, place, confidence) = match (&chosen, self.visits.founded_within_interval()) {
             (Some(chosen), _) => {
                 let is_cnn = chosen.by == Evidence::Cnn;
@@ -293,6 +292,15 @@ impl Recogniser {
             candidates,
             verification,
         }
+    }
+
+    /// Probability of the likeliest of the rejected candidates. Where geometry was asked it has the last
+    /// word, since it is asked about what the CNN left open.
+    fn doubt(&self, candidates: &Candidates) -> f32 {
+        let likeliest = |by: Evidence| {
+            candidates.iter().filter(|c| c.by == by).map(|c| self.probability(c)).reduce(f32::max)
+        };
+        likeliest(Evidence::BowHv).or(likeliest(Evidence::Cnn)).unwrap_or(0.0)
     }
 
     /// Probability that a candidate shows the same place; the place we are in raises no doubt.

@@ -27,7 +27,7 @@ use super::style;
 const MARGIN: f32 = 0.02;
 
 /// Sends the layout for a camera picture and a match view of these widths and this height in pixels.
-/// A viewer in which the layout was changed keeps the changes.
+/// It becomes the active one too: a viewer that is slow to load would otherwise begin with a layout of its own.
 pub(super) fn send(
     stream: &RecordingStream,
     widths_px: [f32; 2],
@@ -36,7 +36,7 @@ pub(super) fn send(
     let mut layout = Layout::default();
     let blueprint = layout.blueprint(widths_px, height_px);
     let (carrier, messages) = RecordingStreamBuilder::new(super::APPLICATION).memory()?;
-    blueprint.send(&carrier, BlueprintActivation { make_active: false, make_default: true })?;
+    blueprint.send(&carrier, BlueprintActivation { make_active: true, make_default: true })?;
     let (mut layout_messages, mut activation) = (Vec::new(), None);
     for message in messages.take() {
         match message {

@@ -142,6 +142,8 @@ fn viewer_command(viewer: &str) -> Command {
     let mut command = Command::new(viewer);
     command.args(["--bind", "127.0.0.1", "--hide-welcome-screen", "--expect-data-soon"]);
     command.arg(format!("--port={DEFAULT_PORT}")).stdin(Stdio::null()).stdout(Stdio::null());
+    // Of what it has to say only failures belong among our own diagnostics.
+    command.env("RUST_LOG", "error");
     // Ctrl-C is for us; the viewer stays open.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
