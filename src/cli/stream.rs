@@ -103,16 +103,20 @@ fn rerun_sink(target: &RerunTarget) -> anyhow::Result<Option<Box<dyn Recognition
     }
 }
 
+/// Nowhere: all that a build without rerun can show.
 #[cfg(not(feature = "rerun"))]
-fn rerun_target(text: Option<&str>) -> anyhow::Result<()> {
+struct Nowhere;
+
+#[cfg(not(feature = "rerun"))]
+fn rerun_target(text: Option<&str>) -> anyhow::Result<Nowhere> {
     match text.unwrap_or("off") {
-        "off" => Ok(()),
+        "off" => Ok(Nowhere),
         _ => Err(WrongArgument("this build has no rerun; build with `--features rerun`".to_owned()).into()),
     }
 }
 
 #[cfg(not(feature = "rerun"))]
-fn rerun_sink((): &()) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
+fn rerun_sink(_: &Nowhere) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
     Ok(None)
 }
 
