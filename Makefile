@@ -17,7 +17,7 @@ test: deps ## All tests that need no data from outside
 	$(CARGO) test --release --features $(FEATURES)
 
 test-data: deps ## Tests on real sequences, found by LOCI_DATA
-	$(CARGO) test --release --features $(FEATURES) --test loci -- --ignored real_
+	$(CARGO) test --release --features $(FEATURES) --test behaviour -- --ignored --nocapture real_
 
 lint: ## Formatting, clippy, licences and advisories, documentation
 	$(CARGO) fmt --check

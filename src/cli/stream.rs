@@ -1,6 +1,5 @@
 //! A stream put together from settings: vocabulary, CNN, map and sinks.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -54,21 +53,18 @@ fn recognition_options(settings: &StreamSettings) -> RecognitionOptions {
 }
 
 /// The CNN of `settings`; `None`, said loudly, where no ONNX Runtime can run it.
-pub(super) fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<DescriptorModel>> {
-    let folder = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
-    let threads = settings.threads.map_or(1, |threads| threads.get() as usize);
-    match open_model(&folder, settings.onnxruntime.as_deref(), threads) {
-        Ok(model) => Ok(Some(model)),
+fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<DescriptorModel>> {
+    let runtime = match OnnxRuntime::open(settings.onnxruntime.as_deref()) {
+        Ok(runtime) => runtime,
         Err(error @ (CnnError::NotBuilt | CnnError::RuntimeNotFound { .. })) => {
             eprintln!("loci: NO CNN, going on with BoW+HV alone: {error}");
-            Ok(None)
+            return Ok(None);
         }
-        Err(error) => Err(error.into()),
-    }
-}
-
-fn open_model(folder: &Path, runtime: Option<&Path>, threads: usize) -> Result<DescriptorModel, CnnError> {
-    DescriptorModel::open(folder, &OnnxRuntime::open(runtime)?, threads)
+        Err(error) => return Err(error.into()),
+    };
+    let folder = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
+    let threads = settings.threads.map_or(1, |threads| threads.get() as usize);
+    Ok(Some(DescriptorModel::open(&folder, &runtime, threads)?))
 }
 
 /// Says what a user would want to know of a map before a run.

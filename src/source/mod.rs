@@ -3,6 +3,8 @@
 //! A [`FrameSource`] hands out frames in order and never ends the stream because of one bad image:
 //! that one is reported and the next call goes on.
 
+#[cfg(feature = "v4l")]
+mod camera;
 mod codec;
 mod directory;
 pub mod synthetic;
@@ -58,6 +60,14 @@ pub enum SourceError {
         /// The folder.
         path: PathBuf,
     },
+    /// A camera could not be opened, or gave no usable frame.
+    #[error("camera {device}: {reason}")]
+    Camera {
+        /// The device.
+        device: String,
+        /// What is wrong with it, and what to do.
+        reason: String,
+    },
     /// An image could not be decoded.
     #[error("bad image {name}: {reason}")]
     BadImage {
@@ -75,8 +85,8 @@ pub enum SourceError {
 /// If there is no such source or it holds no frames.
 pub fn open(source: &str, sample_interval: Option<u64>) -> Result<Box<dyn FrameSource>, SourceError> {
     let unsupported = |reason| SourceError::NotSupported { given: source.to_owned(), reason };
-    if source.starts_with("v4l2:") {
-        return Err(unsupported("cameras are not built yet; record the images into a folder"));
+    if let Some(camera) = source.strip_prefix("v4l2:") {
+        return open_camera(camera, sample_interval);
     }
     let sample_interval = sample_interval.unwrap_or(1);
     if let Some(world) = source.strip_prefix("synthetic:") {
@@ -90,4 +100,15 @@ pub fn open(source: &str, sample_interval: Option<u64>) -> Result<Box<dyn FrameS
     Err(unsupported(
         "it is not a folder, and video files are not built yet; extract the images into a folder",
     ))
+}
+
+#[cfg(feature = "v4l")]
+fn open_camera(camera: &str, sample_interval: Option<u64>) -> Result<Box<dyn FrameSource>, SourceError> {
+    Ok(Box::new(camera::CameraSource::open(camera, sample_interval)?))
+}
+
+#[cfg(not(feature = "v4l"))]
+fn open_camera(camera: &str, _: Option<u64>) -> Result<Box<dyn FrameSource>, SourceError> {
+    let reason = "this build has no cameras; build with `--features v4l`".to_owned();
+    Err(SourceError::Camera { device: camera.to_owned(), reason })
 }

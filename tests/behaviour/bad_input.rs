@@ -1,6 +1,7 @@
 //! Bad input: one line that names the file and the fix, and never a panic.
 
 use std::fs;
+#[cfg(feature = "cnn")]
 use std::path::Path;
 
 use loci::raster::RgbImage;
@@ -74,6 +75,7 @@ fn a_source_that_is_none_is_named_with_the_fix() {
     let video = folder_with(&[("drive.mp4", b"x")]);
     let path = video.path().join("drive.mp4");
     loci(&["run", text(&path)]).assert_failed(1, &["drive.mp4", "extract the images"]);
+    loci(&["run", "v4l2:/dev/no-such-camera"]).assert_failed(1, &["camera /dev/no-such-camera"]);
     loci(&["run", "synthetic:moon"]).assert_failed(1, &["moon", "street", "corridor"]);
     loci(&["run", "synthetic:street?lapse=2"]).assert_failed(1, &["lapse", "laps"]);
 }

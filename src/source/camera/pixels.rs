@@ -1,0 +1,219 @@
+//! Raw camera buffers to images: YUYV and GREY, row by row, with the padding that drivers put behind a row.
+//!
+//! The colour matrix is that of ITU-R BT.601, which V4L2 prescribes for YUYV unless the driver says
+//! otherwise: with E = 255 / 219 for luma and C = 255 / 224 for chroma in limited range (1 in full range),
+//! R = E (Y − Y₀) + 1.402 C (V − 128), B = E (Y − Y₀) + 1.772 C (U − 128),
+//! G = E (Y − Y₀) − 0.344136 C (U − 128) − 0.714136 C (V − 128), where Y₀ is 16 or 0.
+
+use crate::raster::{GreyImage, RgbImage};
+
+/// Where the pixels of a frame lie in its buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Layout {
+    /// Pixels a row.
+    pub(super) width_px: usize,
+    /// Rows.
+    pub(super) height_px: usize,
+    /// Bytes from the start of a row to that of the next; 0 where the driver does not say.
+    pub(super) stride_bytes: usize,
+}
+
+/// Which numbers stand for black and white.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Range {
+    /// 0 to 255.
+    Full,
+    /// Luma 16 to 235, chroma 16 to 240.
+    Limited,
+}
+
+/// The colour matrix in 16-bit fixed point.
+struct Matrix {
+    black: i32,
+    luma: i32,
+    red_v: i32,
+    green_u: i32,
+    green_v: i32,
+    blue_u: i32,
+}
+
+const FULL: Matrix =
+    Matrix { black: 0, luma: 65_536, red_v: 91_881, green_u: 22_553, green_v: 46_802, blue_u: 116_130 };
+const LIMITED: Matrix =
+    Matrix { black: 16, luma: 76_309, red_v: 104_597, green_u: 25_675, green_v: 53_279, blue_u: 132_201 };
+
+impl Matrix {
+    #[inline]
+    fn rgb(&self, y: u8, u: u8, v: u8) -> [u8; 3] {
+        let luma = (i32::from(y) - self.black) * self.luma + (1 << 15);
+        let (u, v) = (i32::from(u) - 128, i32::from(v) - 128);
+        let byte = |fixed: i32| (fixed >> 16).clamp(0, 255) as u8;
+        [
+            byte(luma + self.red_v * v),
+            byte(luma - self.green_u * u - self.green_v * v),
+            byte(luma + self.blue_u * u),
+        ]
+    }
+}
+
+/// The colour image in a YUYV buffer; the error says how many bytes are missing.
+pub(super) fn rgb_from_yuyv(bytes: &[u8], layout: Layout, range: Range) -> Result<RgbImage, String> {
+    let matrix = match range {
+        Range::Full => &FULL,
+        Range::Limited => &LIMITED,
+    };
+    let rows = rows(bytes, layout, layout.width_px.div_ceil(2) * 4)?;
+    let row_bytes = layout.width_px * 3;
+    let mut pixels = Vec::with_capacity(row_bytes * layout.height_px);
+    for row in rows {
+        let end = pixels.len() + row_bytes;
+        for pair in row.chunks_exact(4) {
+            let (u, v) = (pair[1], pair[3]);
+            pixels.extend_from_slice(&matrix.rgb(pair[0], u, v));
+            pixels.extend_from_slice(&matrix.rgb(pair[2], u, v));
+        }
+        // Where the width is odd, the last pair holds one pixel too many.
+        pixels.truncate(end);
+    }
+    image(RgbImage::from_pixels(layout.width_px, layout.height_px, pixels))
+}
+
+/// The grey image in a GREY buffer; the error says how many bytes are missing.
+pub(super) fn grey_from_grey(bytes: &[u8], layout: Layout) -> Result<GreyImage, String> {
+    let pixels = rows(bytes, layout, layout.width_px)?.flatten().copied().collect();
+    image(GreyImage::from_pixels(layout.width_px, layout.height_px, pixels))
+}
+
+/// The rows of a buffer without the padding behind them.
+fn rows(bytes: &[u8], layout: Layout, row_bytes: usize) -> Result<impl Iterator<Item = &[u8]>, String> {
+    let stride = layout.stride_bytes.max(row_bytes).max(1);
+    // The last row needs no padding.
+    let needed = layout.height_px.saturating_sub(1).saturating_mul(stride).saturating_add(row_bytes);
+    if bytes.len() < needed {
+        return Err(format!("the frame is cut off: {} of {needed} bytes arrived", bytes.len()));
+    }
+    Ok(bytes.chunks(stride).take(layout.height_px).map(move |row| &row[..row_bytes]))
+}
+
+fn image<T>(image: Option<T>) -> Result<T, String> {
+    image.ok_or_else(|| "the frame has no pixels".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The same colours from the equations at the head of this file, in floating point.
+    fn naive_rgb(y: u8, u: u8, v: u8, range: Range) -> [f64; 3] {
+        let (black, luma, chroma) = match range {
+            Range::Full => (0.0, 1.0, 1.0),
+            Range::Limited => (16.0, 255.0 / 219.0, 255.0 / 224.0),
+        };
+        let y = (f64::from(y) - black) * luma;
+        let (u, v) = ((f64::from(u) - 128.0) * chroma, (f64::from(v) - 128.0) * chroma);
+        [y + 1.402 * v, y - 0.344_136 * u - 0.714_136 * v, y + 1.772 * u].map(|c| c.clamp(0.0, 255.0))
+    }
+
+    /// Finds every byte by its address instead of walking.
+    fn naive_image(bytes: &[u8], layout: Layout, range: Range) -> Vec<[f64; 3]> {
+        let mut pixels = Vec::new();
+        for row in 0..layout.height_px {
+            for column in 0..layout.width_px {
+                let pair = row * layout.stride_bytes + column / 2 * 4;
+                let y = bytes[pair + column % 2 * 2];
+                pixels.push(naive_rgb(y, bytes[pair + 1], bytes[pair + 3], range));
+            }
+        }
+        pixels
+    }
+
+    fn worst(image: &RgbImage, expected: &[[f64; 3]]) -> f64 {
+        let values = expected.iter().flatten();
+        image.pixels().iter().zip(values).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max)
+    }
+
+    fn one_pair(yuyv: [u8; 4], range: Range) -> Vec<u8> {
+        let layout = Layout { width_px: 2, height_px: 1, stride_bytes: 4 };
+        rgb_from_yuyv(&yuyv, layout, range).unwrap().pixels().to_vec()
+    }
+
+    #[test]
+    fn black_and_white_are_those_of_the_range() {
+        assert_eq!(one_pair([16, 128, 235, 128], Range::Limited), [0, 0, 0, 255, 255, 255]);
+        assert_eq!(one_pair([0, 128, 255, 128], Range::Full), [0, 0, 0, 255, 255, 255]);
+        assert_eq!(one_pair([0, 128, 255, 128], Range::Limited), [0, 0, 0, 255, 255, 255]);
+        // The red of BT.601 in limited range.
+        assert_eq!(one_pair([81, 90, 81, 240], Range::Limited)[..3], [254, 0, 0]);
+    }
+
+    #[test]
+    fn all_colours_are_within_one_of_the_equations() {
+        for range in [Range::Full, Range::Limited] {
+            for y in 0..=255 {
+                for (u, v) in (0..=255).step_by(5).flat_map(|u| (0..=255).step_by(3).map(move |v| (u, v))) {
+                    let layout = Layout { width_px: 1, height_px: 1, stride_bytes: 0 };
+                    let image = rgb_from_yuyv(&[y, u, 0, v], layout, range).unwrap();
+                    assert!(worst(&image, &[naive_rgb(y, u, v, range)]) < 0.51, "{y} {u} {v}");
+                }
+            }
+        }
+    }
+
+    fn layouts() -> impl Strategy<Value = Layout> {
+        (1_usize..20, 1_usize..12, 0_usize..9).prop_map(|(width_px, height_px, padding)| Layout {
+            width_px,
+            height_px,
+            stride_bytes: width_px.div_ceil(2) * 4 + padding,
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn yuyv_rows_are_found_behind_any_padding(
+            layout in layouts(),
+            bytes in prop::collection::vec(any::<u8>(), 12 * 49),
+        ) {
+            let image = rgb_from_yuyv(&bytes, layout, Range::Full).unwrap();
+            prop_assert_eq!((image.width(), image.height()), (layout.width_px, layout.height_px));
+            prop_assert!(worst(&image, &naive_image(&bytes, layout, Range::Full)) < 0.51);
+        }
+
+        #[test]
+        fn grey_rows_are_found_behind_any_padding(
+            layout in layouts(),
+            bytes in prop::collection::vec(any::<u8>(), 12 * 49),
+        ) {
+            let image = grey_from_grey(&bytes, layout).unwrap();
+            for y in 0..layout.height_px {
+                for x in 0..layout.width_px {
+                    prop_assert_eq!(image.get(x, y), bytes[y * layout.stride_bytes + x]);
+                }
+            }
+        }
+
+        #[test]
+        fn a_buffer_one_byte_short_is_refused_and_one_of_exact_length_is_not(layout in layouts()) {
+            let needed = (layout.height_px - 1) * layout.stride_bytes + layout.width_px.div_ceil(2) * 4;
+            prop_assert!(rgb_from_yuyv(&vec![0; needed], layout, Range::Full).is_ok());
+            let reason = rgb_from_yuyv(&vec![0; needed - 1], layout, Range::Full).unwrap_err();
+            let expected = format!("the frame is cut off: {} of {needed} bytes arrived", needed - 1);
+            prop_assert_eq!(reason, expected);
+            let needed = (layout.height_px - 1) * layout.stride_bytes + layout.width_px;
+            prop_assert!(grey_from_grey(&vec![0; needed], layout).is_ok());
+            prop_assert!(grey_from_grey(&vec![0; needed - 1], layout).is_err());
+        }
+
+        #[test]
+        fn no_layout_can_break_the_conversion(
+            width_px in 0_usize..9000,
+            height_px in 0_usize..9000,
+            stride_bytes in any::<usize>(),
+            bytes in prop::collection::vec(any::<u8>(), 0..64),
+        ) {
+            let layout = Layout { width_px, height_px, stride_bytes };
+            let _ = rgb_from_yuyv(&bytes, layout, Range::Limited);
+            let _ = grey_from_grey(&bytes, layout);
+        }
+    }
+}

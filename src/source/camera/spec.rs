@@ -1,0 +1,201 @@
+//! What is asked of a camera: the text after `v4l2:`, read and bounded.
+
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+
+/// Sides of a frame in pixels: the bounds of all images that are read.
+pub(super) const SIDES_PX: RangeInclusive<u32> = 32..=8192;
+const EXAMPLE: &str = "v4l2:/dev/video0?size=640x480&fps=30&format=mjpg";
+
+/// How a camera packs its pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PixelFormat {
+    /// A JPEG a frame.
+    Mjpg,
+    /// Two pixels in four bytes: Y U Y V.
+    Yuyv,
+    /// A byte of luma a pixel.
+    Grey,
+}
+
+impl PixelFormat {
+    /// Every format that is read, the best first: a JPEG costs the least bandwidth and is kept as it is.
+    pub(super) const BY_PREFERENCE: [Self; 3] = [Self::Mjpg, Self::Yuyv, Self::Grey];
+
+    /// The name as written in a source.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Mjpg => "mjpg",
+            Self::Yuyv => "yuyv",
+            Self::Grey => "grey",
+        }
+    }
+
+    /// The four-character code by which V4L2 knows the format.
+    pub(super) fn fourcc(self) -> [u8; 4] {
+        match self {
+            Self::Mjpg => *b"MJPG",
+            Self::Yuyv => *b"YUYV",
+            Self::Grey => *b"GREY",
+        }
+    }
+
+    /// The format with this four-character code, if it is one that is read.
+    pub(super) fn from_fourcc(fourcc: [u8; 4]) -> Option<Self> {
+        Self::BY_PREFERENCE.into_iter().find(|format| format.fourcc() == fourcc)
+    }
+}
+
+/// A camera and what is wished of it; whatever is `None` the driver decides.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct CameraSpec {
+    /// Path of the device node.
+    pub(super) device: String,
+    /// Width and height in pixels.
+    pub(super) size_px: Option<(u32, u32)>,
+    /// Frames a second.
+    pub(super) fps: Option<u32>,
+    /// Pixel format; `None` takes the first of [`PixelFormat::BY_PREFERENCE`] that is offered.
+    pub(super) format: Option<PixelFormat>,
+}
+
+impl CameraSpec {
+    /// Reads `DEVICE?size=WxH&fps=N&format=NAME`; the error is the reason without the device.
+    pub(super) fn parse(text: &str) -> Result<Self, String> {
+        let (device, query) = text.split_once('?').unwrap_or((text, ""));
+        if device.is_empty() {
+            return Err(format!("no device is named; example: {EXAMPLE}"));
+        }
+        if device.contains('\0') {
+            return Err("a path cannot hold a zero byte; name the device as /dev lists it".to_owned());
+        }
+        let mut spec = Self { device: device.to_owned(), size_px: None, fps: None, format: None };
+        let mut seen: Vec<&str> = Vec::new();
+        for pair in query.split('&').filter(|pair| !pair.is_empty()) {
+            let (key, value) =
+                pair.split_once('=').ok_or_else(|| format!("'{pair}' has no value; write {pair}=…"))?;
+            spec.set(key, value)?;
+            if seen.contains(&key) {
+                return Err(format!("key '{key}' is given twice; once is allowed"));
+            }
+            seen.push(key);
+        }
+        Ok(spec)
+    }
+
+    fn set(&mut self, key: &str, value: &str) -> Result<(), String> {
+        match key {
+            "size" => self.size_px = Some(size_px(value)?),
+            "fps" => {
+                self.fps = Some(bounded(value, 1..=1000).ok_or_else(|| refused(key, value, "1 to 1000"))?)
+            }
+            "format" => {
+                let named = PixelFormat::BY_PREFERENCE.into_iter().find(|format| format.name() == value);
+                self.format = Some(named.ok_or_else(|| refused(key, value, "mjpg, yuyv or grey"))?);
+            }
+            _ => return Err(format!("there is no key '{key}'; allowed are size, fps, format")),
+        }
+        Ok(())
+    }
+}
+
+fn size_px(value: &str) -> Result<(u32, u32), String> {
+    let sides = value
+        .split_once('x')
+        .and_then(|(width, height)| Some((bounded(width, SIDES_PX)?, bounded(height, SIDES_PX)?)));
+    sides.ok_or_else(|| refused("size", value, "WIDTHxHEIGHT, each 32 to 8192, such as 640x480"))
+}
+
+fn refused(key: &str, value: &str, allowed: impl Display) -> String {
+    format!("{key}={value} is not allowed; {key} takes {allowed}")
+}
+
+fn bounded(value: &str, allowed: RangeInclusive<u32>) -> Option<u32> {
+    value.parse().ok().filter(|number| allowed.contains(number))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn reason(text: &str) -> String {
+        let reason = CameraSpec::parse(text).unwrap_err();
+        assert!(!reason.contains('\n'), "{reason}");
+        reason
+    }
+
+    #[test]
+    fn a_bare_device_leaves_everything_to_the_driver() {
+        for text in ["/dev/v4l/by-id/usb-046d_C920-video-index0", "/dev/video0"] {
+            let expected = CameraSpec { device: text.to_owned(), size_px: None, fps: None, format: None };
+            assert_eq!(CameraSpec::parse(text), Ok(expected.clone()));
+            assert_eq!(CameraSpec::parse(&format!("{text}?")), Ok(expected));
+        }
+    }
+
+    #[test]
+    fn all_keys_are_read_in_any_order() {
+        let expected = CameraSpec {
+            device: "/dev/video2".to_owned(),
+            size_px: Some((640, 480)),
+            fps: Some(30),
+            format: Some(PixelFormat::Yuyv),
+        };
+        assert_eq!(CameraSpec::parse("/dev/video2?size=640x480&fps=30&format=yuyv"), Ok(expected.clone()));
+        assert_eq!(CameraSpec::parse("/dev/video2?format=yuyv&fps=30&size=640x480"), Ok(expected));
+    }
+
+    #[test]
+    fn unknown_keys_and_values_are_refused_by_name_with_those_allowed() {
+        assert_eq!(reason("/dev/video0?sise=1x1"), "there is no key 'sise'; allowed are size, fps, format");
+        assert_eq!(
+            reason("/dev/video0?format=h264"),
+            "format=h264 is not allowed; format takes mjpg, yuyv or grey"
+        );
+        for fps in ["0", "-1", "29.97", "1001", ""] {
+            assert_eq!(
+                reason(&format!("/dev/video0?fps={fps}")),
+                format!("fps={fps} is not allowed; fps takes 1 to 1000")
+            );
+        }
+        for size in ["640", "640x", "31x480", "640x8193", "640x480x3", "640×480"] {
+            assert_eq!(
+                reason(&format!("/dev/video0?size={size}")),
+                format!(
+                    "size={size} is not allowed; size takes WIDTHxHEIGHT, each 32 to 8192, such as 640x480"
+                )
+            );
+        }
+    }
+
+    #[test]
+    fn a_missing_device_or_value_and_a_doubled_key_are_refused() {
+        assert_eq!(reason("?fps=30"), format!("no device is named; example: {EXAMPLE}"));
+        assert_eq!(reason("/dev/video0?fps"), "'fps' has no value; write fps=…");
+        assert_eq!(reason("/dev/video0?fps=30&fps=15"), "key 'fps' is given twice; once is allowed");
+        assert!(reason("/dev/vi\0deo0").contains("zero byte"));
+    }
+
+    #[test]
+    fn every_format_is_known_by_its_code() {
+        for format in PixelFormat::BY_PREFERENCE {
+            assert_eq!(PixelFormat::from_fourcc(format.fourcc()), Some(format));
+        }
+        assert_eq!(PixelFormat::from_fourcc(*b"NV12"), None);
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_can_break_the_reading(text in "\\PC{0,40}", query in "(size|fps|format|&|=|x|[0-9]|a){0,12}") {
+            let _ = CameraSpec::parse(&text);
+            let _ = CameraSpec::parse(&format!("/dev/video0?{query}"));
+        }
+
+        #[test]
+        fn every_allowed_size_and_rate_is_read_back(width in SIDES_PX, height in SIDES_PX, fps in 1_u32..=1000) {
+            let spec = CameraSpec::parse(&format!("/dev/video0?size={width}x{height}&fps={fps}")).unwrap();
+            prop_assert_eq!((spec.size_px, spec.fps), (Some((width, height)), Some(fps)));
+        }
+    }
+}

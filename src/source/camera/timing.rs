@@ -1,0 +1,169 @@
+//! Which frames are handed out, under which number and time.
+//!
+//! A driver numbers the frames that its sensor took, so a gap is a frame that nobody fetched in time. It
+//! stamps them with the monotonic clock, which counts from the computer's start.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use v4l::buffer::{Flags, Metadata};
+
+/// Frames a second that are handed out unless another interval is asked for.
+const DEFAULT_RATE_HZ: f64 = 3.0;
+/// Frames a second of a camera whose driver does not say.
+const USUAL_FPS: f64 = 30.0;
+
+/// Numbers frames and picks every `interval`-th; numbers only ever grow.
+#[derive(Debug)]
+pub(super) struct Sampling {
+    interval: u64,
+    /// What is added to the driver's numbers, which begin anew with every stream.
+    base: u64,
+    /// The lowest number that is still free.
+    free: u64,
+    /// The number from which on the next frame is handed out.
+    due: u64,
+}
+
+impl Sampling {
+    /// Hands out every `interval`-th frame; by default about three a second of a camera that takes `fps`.
+    pub(super) fn new(interval: Option<u64>, fps: Option<f64>) -> Self {
+        let default = || (fps.unwrap_or(USUAL_FPS) / DEFAULT_RATE_HZ).round() as u64;
+        Self { interval: interval.unwrap_or_else(default).max(1), base: 0, free: 0, due: 0 }
+    }
+
+    /// The number of the frame that the driver calls `sequence`. Some drivers call all frames 0.
+    pub(super) fn index(&mut self, sequence: u32) -> u64 {
+        let index = self.base.saturating_add(u64::from(sequence)).max(self.free);
+        self.free = index.saturating_add(1);
+        index
+    }
+
+    /// The driver's numbers begin anew.
+    pub(super) fn restart(&mut self) {
+        self.base = self.free;
+    }
+
+    /// Whether the frame of this number is to be handed out; asked once a frame.
+    pub(super) fn is_due(&mut self, index: u64) -> bool {
+        let is_due = index >= self.due;
+        if is_due {
+            self.due = index.saturating_add(self.interval);
+        }
+        is_due
+    }
+}
+
+/// Maps the driver's clock to the wall clock, once, at the first frame: a later correction of the wall
+/// clock does not tear the stream. The first frame is awaited when it is stamped, so the mapping is late
+/// by no more than the time between exposure and delivery.
+#[derive(Debug, Default)]
+pub(super) struct CaptureClock {
+    wall_nanos_at_zero: Option<i64>,
+}
+
+impl CaptureClock {
+    /// Time of capture in nanoseconds since the Unix epoch of a frame stamped `stamp_nanos` that arrived
+    /// at `arrival_nanos`; of a frame without a stamp it is the arrival.
+    pub(super) fn capture_nanos(&mut self, stamp_nanos: Option<i64>, arrival_nanos: i64) -> i64 {
+        let Some(stamp) = stamp_nanos else { return arrival_nanos };
+        let zero = *self.wall_nanos_at_zero.get_or_insert(arrival_nanos.saturating_sub(stamp));
+        zero.saturating_add(stamp)
+    }
+}
+
+/// The monotonic time of a buffer in nanoseconds, if the driver stamped it with that.
+pub(super) fn stamp_nanos(metadata: &Metadata) -> Option<i64> {
+    let is_monotonic = metadata.flags & Flags::TIMESTAMP_MASK == Flags::TIMESTAMP_MONOTONIC;
+    let micros = metadata.timestamp.sec.checked_mul(1_000_000)?.checked_add(metadata.timestamp.usec)?;
+    micros.checked_mul(1000).filter(|nanos| is_monotonic && *nanos > 0)
+}
+
+/// The wall clock in nanoseconds since the Unix epoch.
+pub(super) fn wall_nanos() -> i64 {
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since_epoch.as_nanos()).unwrap_or(i64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use v4l::timestamp::Timestamp;
+
+    fn handed_out(sampling: &mut Sampling, sequences: impl IntoIterator<Item = u32>) -> Vec<u64> {
+        let mut indices = Vec::new();
+        for sequence in sequences {
+            let index = sampling.index(sequence);
+            if sampling.is_due(index) {
+                indices.push(index);
+            }
+        }
+        indices
+    }
+
+    #[test]
+    fn about_three_frames_a_second_are_handed_out_by_default() {
+        let interval = |fps| Sampling::new(None, fps).interval;
+        assert_eq!([Some(30.0), Some(25.0), Some(5.0), Some(1.0), None].map(interval), [10, 8, 2, 1, 10]);
+        assert_eq!(Sampling::new(Some(4), Some(30.0)).interval, 4);
+        assert_eq!(Sampling::new(Some(0), None).interval, 1);
+    }
+
+    #[test]
+    fn a_dropped_frame_leaves_a_gap_and_does_not_delay_the_next() {
+        let mut sampling = Sampling::new(Some(3), None);
+        assert_eq!(handed_out(&mut sampling, [0, 1, 2, 3, 4, 8, 9, 10, 11]), [0, 3, 8, 11]);
+    }
+
+    #[test]
+    fn a_driver_that_does_not_count_is_counted_for() {
+        assert_eq!(handed_out(&mut Sampling::new(Some(2), None), [0; 5]), [0, 2, 4]);
+    }
+
+    #[test]
+    fn numbers_go_on_when_the_stream_is_reopened() {
+        let mut sampling = Sampling::new(Some(1), None);
+        assert_eq!(handed_out(&mut sampling, [0, 1, 5]), [0, 1, 5]);
+        sampling.restart();
+        assert_eq!(handed_out(&mut sampling, [0, 2]), [6, 8]);
+    }
+
+    #[test]
+    fn the_clock_is_mapped_once() {
+        let mut clock = CaptureClock::default();
+        assert_eq!(clock.capture_nanos(Some(40), 1_000_040), 1_000_040);
+        assert_eq!(clock.capture_nanos(Some(50), 7_777_777), 1_000_050);
+        assert_eq!(clock.capture_nanos(None, 7_777_778), 7_777_778);
+    }
+
+    #[test]
+    fn only_a_monotonic_stamp_is_believed() {
+        let metadata = |flags, sec, usec| Metadata {
+            flags,
+            timestamp: Timestamp::new(sec, usec),
+            ..Metadata::default()
+        };
+        let monotonic = Flags::TIMESTAMP_MONOTONIC | Flags::TSTAMP_SRC_SOE | Flags::MAPPED;
+        assert_eq!(stamp_nanos(&metadata(monotonic, 2, 3)), Some(2_000_003_000));
+        assert_eq!(stamp_nanos(&metadata(Flags::TIMESTAMP_COPY, 2, 3)), None);
+        assert_eq!(stamp_nanos(&metadata(Flags::TIMESTAMP_UNKNOWN, 2, 3)), None);
+        assert_eq!(stamp_nanos(&metadata(monotonic, 0, 0)), None);
+        assert_eq!(stamp_nanos(&metadata(monotonic, i64::MAX, 3)), None);
+    }
+
+    proptest! {
+        #[test]
+        fn numbers_only_grow(sequences in prop::collection::vec((any::<u32>(), any::<bool>()), 1..40)) {
+            let mut sampling = Sampling::new(Some(1), None);
+            let mut last = None;
+            for (sequence, restarts) in sequences {
+                if restarts {
+                    sampling.restart();
+                }
+                let index = sampling.index(sequence);
+                prop_assert!(Some(index) > last);
+                last = Some(index);
+            }
+        }
+    }
+}
