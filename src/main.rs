@@ -8,7 +8,8 @@ fn main() -> ExitCode {
     match cli::run() {
         Ok(outcome) => outcome.into(),
         Err(error) => {
-            eprintln!("loci: {error:#}");
+            // Our errors carry their cause in their own words; the chain would say it twice.
+            eprintln!("loci: {error}");
             cli::exit_code(&error)
         }
     }

@@ -43,7 +43,7 @@ impl Finding {
     fn of(part: &'static str, tried: anyhow::Result<String>) -> Self {
         match tried {
             Ok(detail) => Self { part, health: Health::Ok, detail },
-            Err(error) => Self { part, health: Health::Fail, detail: format!("{error:#}") },
+            Err(error) => Self { part, health: Health::Fail, detail: error.to_string() },
         }
     }
 }

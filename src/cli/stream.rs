@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::Context;
 use loci::cnn::{CnnError, DescriptorModel, ModelCard, OnnxRuntime};
 use loci::feature::{OrbExtractor, OrbOptions};
 use loci::pipeline::Pipeline;
@@ -123,7 +122,7 @@ pub(super) fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop))
             .and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)))
-            .context("cannot listen for Ctrl-C")?;
+            .map_err(|error| anyhow::anyhow!("cannot listen for Ctrl-C: {error}"))?;
     }
     Ok(stop)
 }

@@ -30,6 +30,9 @@ impl Finished {
         let errors: Vec<&str> = self.stderr.lines().collect();
         assert_eq!(errors.len(), 1, "not one line: {}", self.stderr);
         assert!(self.stderr.starts_with("loci: "), "{}", self.stderr);
+        let mut said: Vec<&str> = self.stderr.trim_end().split(": ").collect();
+        said.sort_unstable();
+        assert!(said.windows(2).all(|pair| pair[0] != pair[1]), "said twice: {}", self.stderr);
         for part in parts {
             assert!(self.stderr.contains(part), "no '{part}' in: {}", self.stderr);
         }

@@ -1,6 +1,8 @@
 //! The main job on synthetic drives, whose true places are known.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
 
 use loci::source::{self, FrameSource};
 
@@ -82,6 +84,28 @@ fn a_map_is_kept_and_localised_in_without_changing_it() {
     let decisions = elsewhere.decisions();
     assert!(decisions.iter().all(|decision| decision == "unknown"), "{decisions:?}");
     assert_eq!(loci(&["map", "info", text(&map), "--json"]).stdout, before);
+}
+
+#[test]
+fn sigterm_ends_a_run_with_everything_committed() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments =
+        ["run", "synthetic:corridor?laps=50&size=160x160", "--map", text(folder.path()), "--json"];
+    let mut program = Command::new(env!("CARGO_BIN_EXE_loci"))
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(program.stdout.take().unwrap()).lines();
+    let first = lines.by_ref().take(5).count();
+    let signalled = Command::new("kill").args(["-TERM", &program.id().to_string()]).status().unwrap();
+    assert!(signalled.success());
+    let answered = first + lines.count();
+    assert_eq!(program.wait().unwrap().code(), Some(0));
+    let map = &loci(&["map", "info", text(folder.path()), "--json"]).records()[0];
+    assert_eq!((&map["experiences"], &map["torn_bytes"]), (&answered.into(), &0.into()));
+    assert!(answered < 3000, "it ran to the end");
 }
 
 #[test]
