@@ -9,9 +9,11 @@
 //! lose no frame. Whatever ends one stage (the last frame, a failure, the stop flag) closes its queue,
 //! and the others follow.
 
+mod perception;
 mod stages;
 mod summary;
 
+pub use perception::{Perception, PerceptionLatency, Seen};
 pub use summary::{RunSummary, StageStatistics};
 
 use std::sync::atomic::AtomicBool;
@@ -51,7 +53,7 @@ pub trait Watcher: Sync {
     /// The CNN failed on a frame, which BoW+HV then decided alone.
     fn cnn_failed(&self, frame_name: &str, error: &CnnError);
     /// A frame was decided.
-    fn decided(&self, record: &FrameRecord);
+    fn decided(&self, _record: &FrameRecord) {}
 }
 
 /// The parts of a stream, ready to run.
@@ -74,35 +76,18 @@ impl Pipeline {
     /// # Errors
     /// If the map cannot be written or a sink refuses a record.
     pub fn run(self, stop: &AtomicBool, watcher: &dyn Watcher) -> Result<RunSummary, PipelineError> {
-        let Self { source, extractor, model, recogniser, sinks } = self;
-        let (to_features, captured) = bounded(QUEUE_FRAMES);
-        let (to_recognition, featured) = bounded(QUEUE_FRAMES);
-        let (to_sinks, records) = bounded(QUEUE_FRAMES);
+        let Self { source, extractor, mut model, recogniser, sinks } = self;
         let vocabulary = recogniser.vocabulary().clone();
+        let (to_sinks, records) = bounded(QUEUE_FRAMES);
         let shows_matched = sinks.iter().any(|sink| sink.shows_matched_keyframe());
         thread::scope(|scope| {
-            let spawn = |name: &str| thread::Builder::new().name(format!("loci-{name}"));
-            let (to_cnn, described) = match model {
-                None => (None, None),
-                Some(model) => {
-                    let (to_cnn, captured) = bounded(QUEUE_FRAMES);
-                    let (to_recognition, described) = bounded(QUEUE_FRAMES);
-                    spawn("cnn").spawn_scoped(scope, || stages::describe(model, captured, to_recognition))?;
-                    (Some(to_cnn), Some(described))
-                }
-            };
-            let capture = spawn("capture")
-                .spawn_scoped(scope, || stages::capture(source, stop, watcher, (to_features, to_cnn)))?;
-            spawn("features").spawn_scoped(scope, move || {
-                stages::extract(&extractor, &vocabulary, captured, to_recognition);
-            })?;
-            let delivery = spawn("sinks").spawn_scoped(scope, || stages::deliver(sinks, records))?;
-            let inputs = stages::Inputs { featured, described };
-            let recognised = stages::recognise(recogniser, inputs, (to_sinks, shows_matched), watcher);
+            let delivery = stages::named("sinks").spawn_scoped(scope, || stages::deliver(sinks, records))?;
+            let perception =
+                Perception { extractor: &extractor, vocabulary: &vocabulary, model: model.as_mut() };
+            let perceive = |visit: stages::Visit<'_>| perception.run(source, stop, watcher, visit);
+            let recognised = stages::recognise(recogniser, perceive, (to_sinks, shows_matched), watcher);
             let delivered = stages::joined(delivery);
-            let skipped = stages::joined(capture);
-            let mut summary = recognised?;
-            summary.skipped = skipped;
+            let summary = recognised?;
             match delivered {
                 Err(TelemetryError::ReaderGone) | Ok(()) => Ok(summary),
                 Err(error) => Err(error.into()),

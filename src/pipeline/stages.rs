@@ -1,44 +1,52 @@
 //! The stages, each a loop over its queue.
 
-use std::panic;
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::ScopedJoinHandle;
 use std::time::Instant;
+use std::{panic, thread};
 
 use crossbeam_channel::{Receiver, Sender};
 
+use super::perception::{PerceptionLatency, Seen};
 use super::{PipelineError, RunSummary, Watcher};
 use crate::cnn::{self, CnnError, DescriptorModel};
 use crate::feature::{Features, OrbExtractor};
 use crate::frame::Frame;
 use crate::place_map::{MapError, PlaceMap};
-use crate::recognition::{Decision, Look, Recogniser, Recognition};
+use crate::recognition::{Decision, Recogniser, Recognition};
 use crate::source::{FrameSource, thumbnail_jpeg};
-use crate::telemetry::{
-    CnnStatus, FrameRecord, MatchedKeyframe, RecognitionSink, StageLatency, TelemetryError,
-};
+use crate::telemetry::{FrameRecord, MatchedKeyframe, RecognitionSink, StageLatency, TelemetryError};
 use crate::vocabulary::{Quantised, Vocabulary};
 
 /// A frame on its way.
 #[derive(Clone)]
 pub(super) struct Captured {
-    frame: Arc<Frame>,
-    decode_us: u64,
+    pub(super) frame: Arc<Frame>,
+    pub(super) decode_us: u64,
 }
 
 /// A frame with its features and their words.
 pub(super) struct Featured {
-    captured: Captured,
-    features: Features,
-    quantised: Vec<Quantised>,
-    features_us: u64,
+    pub(super) captured: Captured,
+    pub(super) features: Features,
+    pub(super) quantised: Vec<Quantised>,
+    pub(super) features_us: u64,
 }
 
 /// A frame's descriptor, or why there is none.
 pub(super) struct Described {
-    descriptor: Result<cnn::Descriptor, CnnError>,
-    cnn_us: u64,
+    pub(super) descriptor: Result<cnn::Descriptor, CnnError>,
+    pub(super) cnn_us: u64,
+}
+
+/// What is done with a frame that was seen.
+pub(super) type Visit<'a> = &'a mut dyn FnMut(Seen) -> Result<ControlFlow<()>, PipelineError>;
+
+/// A thread of that name, to be started.
+pub(super) fn named(stage: &str) -> thread::Builder {
+    thread::Builder::new().name(format!("loci-{stage}"))
 }
 
 /// Reads frames until the source ends, `stop` is set or nobody listens; answers how many were skipped.
@@ -90,7 +98,7 @@ pub(super) fn extract(
 
 /// Runs the CNN on every frame.
 pub(super) fn describe(
-    mut model: DescriptorModel,
+    model: &mut DescriptorModel,
     captured: Receiver<Captured>,
     to_recognition: Sender<Described>,
 ) {
@@ -112,7 +120,7 @@ pub(super) struct Inputs {
 
 impl Inputs {
     /// Both halves of the next frame; `None` when one of the stages before has ended.
-    fn next(&self) -> Option<(Featured, Option<Described>)> {
+    pub(super) fn next(&self) -> Option<(Featured, Option<Described>)> {
         let featured = self.featured.recv().ok()?;
         match &self.described {
             None => Some((featured, None)),
@@ -124,59 +132,40 @@ impl Inputs {
 /// Decides every frame, in order.
 pub(super) fn recognise(
     mut recogniser: Recogniser,
-    inputs: Inputs,
+    perceive: impl FnOnce(Visit<'_>) -> Result<u64, PipelineError>,
     (to_sinks, shows_matched): (Sender<FrameRecord>, bool),
     watcher: &dyn Watcher,
 ) -> Result<RunSummary, PipelineError> {
     let mut summary = RunSummary::new(recogniser.has_cnn());
-    while let Some((featured, described)) = inputs.next() {
-        if let Some(Described { descriptor: Err(error), .. }) = &described {
-            watcher.cnn_failed(&featured.captured.frame.name, error);
-        }
-        let mut record = decide(&mut recogniser, featured, described)?;
+    let skipped = perceive(&mut |seen| {
+        let mut record = decide(&mut recogniser, seen)?;
         if shows_matched {
             record.matched = matched_keyframe(recogniser.map(), &record.recognition)?;
         }
         summary.count(&record);
         watcher.decided(&record);
-        if to_sinks.send(record).is_err() {
-            break;
-        }
-    }
+        let is_heard = to_sinks.send(record).is_ok();
+        Ok(if is_heard { ControlFlow::Continue(()) } else { ControlFlow::Break(()) })
+    })?;
     recogniser.sync()?;
+    summary.skipped = skipped;
     summary.map = Some(recogniser.map().summary());
     Ok(summary)
 }
 
-fn decide(
-    recogniser: &mut Recogniser,
-    featured: Featured,
-    described: Option<Described>,
-) -> Result<FrameRecord, MapError> {
-    let Featured { captured, features, quantised, features_us } = featured;
-    let (cnn, cnn_us) = match &described {
-        None => (CnnStatus::Unavailable, 0),
-        Some(Described { descriptor: Ok(_), cnn_us }) => (CnnStatus::Available, *cnn_us),
-        Some(Described { descriptor: Err(_), cnn_us }) => (CnnStatus::Failed, *cnn_us),
-    };
-    let appearance = described.and_then(|described| described.descriptor.ok());
-    let look = Look { features, quantised, appearance };
+fn decide(recogniser: &mut Recogniser, seen: Seen) -> Result<FrameRecord, MapError> {
+    let Seen { frame, look, cnn, latency } = seen;
     let started = Instant::now();
     let mut candidates = recogniser.retrieve(&look);
     let retrieval_us = micros(started);
     let verification = recogniser.verify(&look, &mut candidates);
     let verification_us = micros(started) - retrieval_us;
-    let frame = captured.frame;
     let thumbnail = || thumbnail_jpeg(&frame.colour);
     let recognition = recogniser.decide(&frame, &look, (candidates, verification), thumbnail)?;
-    let latency = StageLatency {
-        decode_us: captured.decode_us,
-        features_us,
-        cnn_us,
-        retrieval_us,
-        verification_us,
-        total_us: captured.decode_us + features_us.max(cnn_us) + micros(started),
-    };
+    let PerceptionLatency { decode_us, features_us, cnn_us } = latency;
+    let total_us = decode_us + features_us.max(cnn_us) + micros(started);
+    let latency =
+        StageLatency { decode_us, features_us, cnn_us, retrieval_us, verification_us, total_us };
     Ok(FrameRecord { frame, look: Arc::new(look), recognition, matched: None, cnn, latency })
 }
 
