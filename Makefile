@@ -4,7 +4,7 @@ CARGO ?= cargo
 # Cameras need libclang to build, so plain cargo leaves them out and every target here puts them in.
 FEATURES ?= v4l
 
-.PHONY: help demo test test-data lint bench deps system-deps
+.PHONY: help demo test test-data lint bench deps system-deps test-deps
 
 help: ## What can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -12,7 +12,7 @@ help: ## What can be made
 demo: deps ## Install what is missing, build, and run the main job on a synthetic drive
 	$(CARGO) run --release --features $(FEATURES) -- demo
 
-test: deps ## All tests that need no data from outside
+test: deps test-deps ## All tests that need no data from outside
 	$(CARGO) test --no-default-features --lib
 	$(CARGO) test --release --features $(FEATURES)
 
@@ -30,6 +30,9 @@ bench: ## Criterion benches of the stages
 
 deps: system-deps ## ONNX Runtime and what the build needs
 	@deploy/fetch-onnxruntime.sh
+
+test-deps: ## Debian or Ubuntu packages that the tests need: ffmpeg makes and reads videos
+	@deploy/install-packages.sh ffmpeg
 
 system-deps: ## Debian or Ubuntu packages that are missing
 	@deploy/install-packages.sh libclang-dev python3 python3-pip

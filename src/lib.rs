@@ -4,6 +4,9 @@
 //! is compared with the places of the map, and a [`recognition::Recogniser`] decides which place
 //! the robot sees. ARCHITECTURE.md walks through the floors below, from top to bottom.
 
+#[cfg(feature = "evaluation")]
+pub mod evaluation;
+
 pub mod pipeline;
 
 pub mod source;

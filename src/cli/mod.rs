@@ -7,6 +7,8 @@ mod assets;
 mod console;
 mod demo;
 mod doctor;
+#[cfg(feature = "evaluation")]
+mod evaluate;
 mod map;
 mod run;
 mod settings;
@@ -41,8 +43,9 @@ enum Command {
     Doctor(doctor::DoctorArguments),
     /// Retrain the CNN from the map's clusters (not built yet)
     Train(Anything),
-    /// Recognition rate, precision and recall (not built yet)
-    Evaluate(Anything),
+    /// Recognition rate, recall@N, precision and recall, calibration, by a ground truth
+    #[cfg(feature = "evaluation")]
+    Evaluate(Box<evaluate::EvaluateArguments>),
     /// Hand over experiences and fetch models (not built yet)
     Sync(Anything),
     /// Review a map or a log in rerun (not built yet)
@@ -97,7 +100,8 @@ pub(crate) fn run() -> anyhow::Result<Outcome> {
         Command::Map(command) => map::run(command),
         Command::Doctor(arguments) => doctor::run(arguments),
         Command::Train(_) => not_built("train"),
-        Command::Evaluate(_) => not_built("evaluate"),
+        #[cfg(feature = "evaluation")]
+        Command::Evaluate(arguments) => evaluate::run(*arguments),
         Command::Sync(_) => not_built("sync"),
         Command::Review(_) => not_built("review"),
         Command::Bench(_) => not_built("bench"),

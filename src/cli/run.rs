@@ -17,7 +17,7 @@ use super::{Outcome, stream};
     loci run recordings/tuesday --map maps/site --read-only --json\n  \
     loci run 'synthetic:street?laps=3&light=noon,dusk,night' --rerun save=street.rrd")]
 pub(super) struct RunArguments {
-    /// A folder of images; synthetic:WORLD?laps=2&light=noon,dusk&seed=7 (WORLD: street, corridor); or
+    /// A folder of images; a video file; synthetic:WORLD?laps=2&light=noon,dusk&seed=7 (WORLD: street, corridor); or
     /// v4l2:/dev/video0?size=640x480&fps=30&format=mjpg
     source: String,
     #[command(flatten)]

@@ -28,7 +28,7 @@ pub(super) struct StreamSettings {
     /// ONNX Runtime library [default: looked for; `loci doctor` says where]
     #[arg(long, env = "LOCI_ONNXRUNTIME", value_name = "PATH")]
     pub(super) onnxruntime: Option<PathBuf>,
-    /// Process every N-th frame [default: 1; of a camera about three a second]
+    /// Process every N-th frame [default: 1; of a camera or video about three a second]
     #[arg(long, env = "LOCI_SAMPLE_INTERVAL", value_name = "N")]
     pub(super) sample_interval: Option<NonZero<u32>>,
     /// δ_ep: processed frames that join a place unasked after its founding [default: 5]

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use loci::cnn::{CnnError, DescriptorModel, ModelCard, OnnxRuntime};
+use loci::cnn::{CnnError, DescriptorModel, ModelCard, OnnxRuntime, RuntimeVersion};
 use loci::feature::{OrbExtractor, OrbOptions};
 use loci::pipeline::Pipeline;
 use loci::place_map::PlaceMap;
@@ -26,7 +26,7 @@ pub(super) fn pipeline(
     let source = source::open(source, sample_interval)?;
     let vocabulary =
         Vocabulary::open(&assets::find(settings.vocab.as_deref(), assets::VOCABULARY, "--vocab")?)?;
-    let model = open_cnn(settings)?;
+    let model = open_cnn(settings)?.map(|(model, _)| model);
     let options = recognition_options(settings);
     let map = match (&settings.map, options.read_only) {
         (Some(folder), true) => PlaceMap::open_read_only(folder)?,
@@ -42,7 +42,7 @@ pub(super) fn pipeline(
     Ok(Pipeline { source, extractor: OrbExtractor::new(OrbOptions::default()), model, recogniser, sinks })
 }
 
-fn recognition_options(settings: &StreamSettings) -> RecognitionOptions {
+pub(super) fn recognition_options(settings: &StreamSettings) -> RecognitionOptions {
     let defaults = RecognitionOptions::default();
     RecognitionOptions {
         place_interval: settings.place_interval.unwrap_or(defaults.place_interval),
@@ -51,8 +51,8 @@ fn recognition_options(settings: &StreamSettings) -> RecognitionOptions {
     }
 }
 
-/// The CNN of `settings`; `None`, said loudly, where no ONNX Runtime can run it.
-fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<DescriptorModel>> {
+/// The CNN of `settings` and the runtime that runs it; `None`, said loudly, where no ONNX Runtime can run it.
+fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<(DescriptorModel, RuntimeVersion)>> {
     let runtime = match OnnxRuntime::open(settings.onnxruntime.as_deref()) {
         Ok(runtime) => runtime,
         Err(error @ (CnnError::NotBuilt | CnnError::RuntimeNotFound { .. })) => {
@@ -63,7 +63,19 @@ fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<DescriptorModel>
     };
     let folder = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
     let threads = settings.threads.map_or(1, |threads| threads.get() as usize);
-    Ok(Some(DescriptorModel::open(&folder, &runtime, threads)?))
+    Ok(Some((DescriptorModel::open(&folder, &runtime, threads)?, runtime.version())))
+}
+
+/// What looks at frames for an evaluation, with the version of the ONNX Runtime that it uses.
+#[cfg(feature = "evaluation")]
+pub(super) fn eyes(
+    vocabulary: &std::path::Path,
+    settings: &StreamSettings,
+) -> anyhow::Result<(loci::evaluation::Eyes, Option<RuntimeVersion>)> {
+    let vocabulary = Arc::new(Vocabulary::open(vocabulary)?);
+    let (model, version) = open_cnn(settings)?.unzip();
+    let extractor = OrbExtractor::new(OrbOptions::default());
+    Ok((loci::evaluation::Eyes { extractor, vocabulary, model }, version))
 }
 
 /// Says what a user would want to know of a map before a run.

@@ -52,6 +52,8 @@ pub trait Watcher: Sync {
     fn skipped(&self, error: &SourceError);
     /// The CNN failed on a frame, which BoW+HV then decided alone.
     fn cnn_failed(&self, frame_name: &str, error: &CnnError);
+    /// A frame was looked at.
+    fn seen(&self, _seen: &Seen) {}
     /// A frame was decided.
     fn decided(&self, _record: &FrameRecord) {}
 }

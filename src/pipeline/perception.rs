@@ -98,7 +98,9 @@ fn visit_all<E>(
         if let Some(error) = described.as_ref().and_then(|described| described.descriptor.as_ref().err()) {
             watcher.cnn_failed(&featured.captured.frame.name, error);
         }
-        if visit(seen(featured, described))?.is_break() {
+        let seen = seen(featured, described);
+        watcher.seen(&seen);
+        if visit(seen)?.is_break() {
             break;
         }
     }

@@ -164,8 +164,7 @@ fn decide(recogniser: &mut Recogniser, seen: Seen) -> Result<FrameRecord, MapErr
     let recognition = recogniser.decide(&frame, &look, (candidates, verification), thumbnail)?;
     let PerceptionLatency { decode_us, features_us, cnn_us } = latency;
     let total_us = decode_us + features_us.max(cnn_us) + micros(started);
-    let latency =
-        StageLatency { decode_us, features_us, cnn_us, retrieval_us, verification_us, total_us };
+    let latency = StageLatency { decode_us, features_us, cnn_us, retrieval_us, verification_us, total_us };
     Ok(FrameRecord { frame, look: Arc::new(look), recognition, matched: None, cnn, latency })
 }
 

@@ -8,10 +8,12 @@
 //! A pure state machine: the same frames give the same decisions, whatever the clock says.
 
 mod appearance;
+mod calibration;
 mod candidate;
 mod recogniser;
 mod visits;
 
+pub use calibration::inlier_probability;
 pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
 pub use recogniser::{Look, Recogniser, RecognitionOptions};
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::appearance::AppearanceIndex;
+use super::calibration::inlier_probability;
 use super::candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
 use super::visits::Visits;
 use super::{Decision, Recognition};
@@ -37,12 +38,6 @@ impl Default for RecognitionOptions {
         }
     }
 }
-
-/// Slope and offset of the logistic that turns effective inliers into the probability of the same place:
-/// fitted by maximum likelihood on the 7,413 candidates that BoW+HV alone verified in laps 2 and 3 of
-/// eight synthetic drives (both worlds, seeds 31, 33, 34, 35, three laps at noon, dusk and night), a
-/// candidate being right within two frames of sixty.
-const INLIER_CALIBRATION: (f32, f32) = (0.233, -2.323);
 
 /// What was seen in a frame.
 #[derive(Clone, Debug, Default)]
@@ -113,6 +108,12 @@ impl Recogniser {
     #[must_use]
     pub fn map(&self) -> &PlaceMap {
         &self.map
+    }
+
+    /// Gives the map away.
+    #[must_use]
+    pub fn into_map(self) -> PlaceMap {
+        self.map
     }
 
     /// The vocabulary.
@@ -304,15 +305,12 @@ impl Recogniser {
     }
 
     /// Probability that a candidate shows the same place; the place we are in raises no doubt.
-    fn probability(&self, candidate: &Candidate) -> f32 {
+    #[must_use]
+    pub fn probability(&self, candidate: &Candidate) -> f32 {
         match (candidate.by, candidate.rejected, &self.model) {
             (_, Some(Rejection::WithinPlaceInterval), _) => 0.0,
             (Evidence::Cnn, _, Some(model)) => model.probability(candidate.score),
-            (Evidence::BowHv, _, _) => {
-                let (slope, offset) = INLIER_CALIBRATION;
-                let inliers = candidate.inliers.unwrap_or(0) as f32;
-                1.0 / (1.0 + (-(slope * inliers + offset)).exp())
-            }
+            (Evidence::BowHv, _, _) => inlier_probability(candidate.inliers.unwrap_or(0)),
             _ => 0.0,
         }
     }

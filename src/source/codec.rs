@@ -95,7 +95,8 @@ fn decode_png(bytes: &[u8]) -> Result<RgbImage, String> {
     RgbImage::from_pixels(width, height, image.into_raw()).ok_or_else(|| "the PNG is not RGB".to_owned())
 }
 
-fn check_size(width: usize, height: usize) -> Result<(), String> {
+/// Refuses sizes in which nothing can be recognised, or that would take too much memory.
+pub(super) fn check_size(width: usize, height: usize) -> Result<(), String> {
     if width.min(height) < MIN_SIDE_PX {
         Err(format!("{width}×{height} px is too small: use at least {MIN_SIDE_PX}×{MIN_SIDE_PX}"))
     } else if width.max(height) > MAX_SIDE_PX {

@@ -10,7 +10,33 @@ use crate::frame::Frame;
 const NOMINAL_INTERVAL_NANOS: i64 = 100_000_000;
 const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
 
-/// The images of a folder, not of its subfolders.
+/// The images of `folder`, not of its subfolders, in natural order.
+///
+/// # Errors
+/// If the folder cannot be read or holds no images.
+pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
+    let error = |source| SourceError::Io { path: folder.to_owned(), source };
+    let mut paths = Vec::new();
+    for entry in fs::read_dir(folder).map_err(error)? {
+        let path = entry.map_err(error)?.path();
+        // Neither a folder called `x.jpg` nor a pipe, which would block, is an image.
+        if has_image_extension(&path) && path.is_file() {
+            paths.push(path);
+        }
+    }
+    if paths.is_empty() {
+        return Err(SourceError::NoImages { path: folder.to_owned() });
+    }
+    sort_naturally(&mut paths);
+    Ok(paths)
+}
+
+/// Sorts paths as people would: `2.jpg` before `10.jpg`.
+pub fn sort_naturally(paths: &mut [PathBuf]) {
+    alphanumeric_sort::sort_path_slice(paths);
+}
+
+/// Image files, in a given order.
 #[derive(Debug)]
 pub struct DirectorySource {
     paths: Vec<PathBuf>,
@@ -19,26 +45,19 @@ pub struct DirectorySource {
 }
 
 impl DirectorySource {
-    /// Lists the images of `folder`; hands out every `sample_interval`-th.
+    /// Hands out every `sample_interval`-th of the images of `folder`.
     ///
     /// # Errors
     /// If the folder cannot be read or holds no images.
     pub fn open(folder: &Path, sample_interval: u64) -> Result<Self, SourceError> {
-        let error = |source| SourceError::Io { path: folder.to_owned(), source };
-        let mut paths = Vec::new();
-        for entry in fs::read_dir(folder).map_err(error)? {
-            let path = entry.map_err(error)?.path();
-            // Neither a folder called `x.jpg` nor a pipe, which would block, is an image.
-            if has_image_extension(&path) && path.is_file() {
-                paths.push(path);
-            }
-        }
-        if paths.is_empty() {
-            return Err(SourceError::NoImages { path: folder.to_owned() });
-        }
-        alphanumeric_sort::sort_path_slice(&mut paths);
         let sample_interval = usize::try_from(sample_interval).unwrap_or(usize::MAX).max(1);
-        Ok(Self { paths, next: 0, sample_interval })
+        Ok(Self { sample_interval, ..Self::of_files(image_files(folder)?) })
+    }
+
+    /// Hands out the images at `paths`.
+    #[must_use]
+    pub fn of_files(paths: Vec<PathBuf>) -> Self {
+        Self { paths, next: 0, sample_interval: 1 }
     }
 
     fn read(&self, index: usize) -> Result<Frame, SourceError> {

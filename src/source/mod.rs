@@ -1,4 +1,4 @@
-//! Where frames come from: a folder of images, a synthetic world or a camera.
+//! Where frames come from: a folder of images, a video file, a synthetic world or a camera.
 //!
 //! A [`FrameSource`] hands out frames in order and never ends the stream because of one bad image:
 //! that one is reported and the next call goes on.
@@ -8,9 +8,11 @@ mod camera;
 mod codec;
 mod directory;
 pub mod synthetic;
+mod video;
 
 pub use codec::{decode, jpeg, thumbnail_jpeg};
-pub use directory::DirectorySource;
+pub use directory::{DirectorySource, image_files, sort_naturally};
+pub use video::VideoSource;
 
 use std::io;
 use std::path::PathBuf;
@@ -38,14 +40,6 @@ pub enum SourceError {
         /// What is wrong with it.
         reason: String,
     },
-    /// The source is of a kind that this version does not read.
-    #[error("cannot read {given}: {reason}")]
-    NotSupported {
-        /// What was asked for.
-        given: String,
-        /// What to do instead.
-        reason: &'static str,
-    },
     /// The operating system said no.
     #[error("cannot read {}: {source}", path.display())]
     Io {
@@ -59,6 +53,14 @@ pub enum SourceError {
     NoImages {
         /// The folder.
         path: PathBuf,
+    },
+    /// A video file could not be read, or not to its end.
+    #[error("video {}: {reason}", path.display())]
+    BadVideo {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it, and what to do.
+        reason: String,
     },
     /// A camera could not be opened, or gave no usable frame.
     #[error("camera {device}: {reason}")]
@@ -78,28 +80,25 @@ pub enum SourceError {
     },
 }
 
-/// Opens `source` (a folder, `synthetic:…` or `v4l2:…`) and hands out every `sample_interval`-th frame;
-/// by default every one, of a camera about three a second.
+/// Opens `source` (a folder, a video file, `synthetic:…` or `v4l2:…`) and hands out every
+/// `sample_interval`-th frame; by default every one, of a camera or video about three a second.
 ///
 /// # Errors
 /// If there is no such source or it holds no frames.
 pub fn open(source: &str, sample_interval: Option<u64>) -> Result<Box<dyn FrameSource>, SourceError> {
-    let unsupported = |reason| SourceError::NotSupported { given: source.to_owned(), reason };
     if let Some(camera) = source.strip_prefix("v4l2:") {
         return open_camera(camera, sample_interval);
     }
-    let sample_interval = sample_interval.unwrap_or(1);
     if let Some(world) = source.strip_prefix("synthetic:") {
-        return Ok(Box::new(synthetic::SyntheticSource::open(world.parse()?, sample_interval)));
+        let interval = sample_interval.unwrap_or(1);
+        return Ok(Box::new(synthetic::SyntheticSource::open(world.parse()?, interval)));
     }
     let path = PathBuf::from(source);
     let metadata = path.metadata().map_err(|source| SourceError::Io { path: path.clone(), source })?;
     if metadata.is_dir() {
-        return Ok(Box::new(DirectorySource::open(&path, sample_interval)?));
+        return Ok(Box::new(DirectorySource::open(&path, sample_interval.unwrap_or(1))?));
     }
-    Err(unsupported(
-        "it is not a folder, and video files are not built yet; extract the images into a folder",
-    ))
+    Ok(Box::new(VideoSource::open(&path, sample_interval)?))
 }
 
 #[cfg(feature = "v4l")]

@@ -2,6 +2,8 @@
 
 mod bad_input;
 mod commands;
+#[cfg(feature = "evaluation")]
+mod evaluate;
 mod program;
 mod real_sequences;
 mod stream;

@@ -1,0 +1,178 @@
+//! The field's database: every reference frame can be found.
+//!
+//! The CNN ranks all of them by cosine; BoW+HV ranks those that share the most words by their effective
+//! inliers; together they follow the order of `loci run`: what the CNN accepts, else what geometry
+//! accepts, else whatever is likeliest.
+
+use super::answer::{Answer, Candidate, MAX_CANDIDATES};
+use super::results::Method;
+use super::traverse::{Observation, Traverse};
+use crate::cnn::ModelCard;
+use crate::recognition::{Evidence, RecognitionOptions, inlier_probability};
+use crate::retrieval::{BowVector, InvertedIndex};
+use crate::verification::{MatchingView, Verification, verify};
+use crate::vocabulary::{Quantised, Vocabulary};
+
+/// All frames of a traverse, ready to be searched.
+pub struct FrameDatabase<'a> {
+    reference: &'a Traverse,
+    vocabulary: &'a Vocabulary,
+    model: Option<&'a ModelCard>,
+    options: &'a RecognitionOptions,
+    index: InvertedIndex,
+    groups: Vec<Vec<u32>>,
+}
+
+/// The group of each feature: the vocabulary node within which features are compared.
+pub(super) fn groups(quantised: &[Quantised]) -> Vec<u32> {
+    quantised.iter().map(|quantised| quantised.node.0).collect()
+}
+
+impl<'a> FrameDatabase<'a> {
+    /// A database of all frames of `reference`.
+    #[must_use]
+    pub fn new(
+        reference: &'a Traverse,
+        vocabulary: &'a Vocabulary,
+        model: Option<&'a ModelCard>,
+        options: &'a RecognitionOptions,
+    ) -> Self {
+        let mut index = InvertedIndex::new(vocabulary.word_count());
+        for observation in &reference.observations {
+            index.add(&bow(observation, vocabulary));
+        }
+        let groups = reference.observations.iter().map(|seen| groups(&seen.look.quantised)).collect();
+        Self { reference, vocabulary, model, options, index, groups }
+    }
+
+    /// What each of `methods` finds for `query` among the first `horizon` reference frames.
+    pub fn answer(&mut self, query: &Observation, horizon: usize, methods: &[Method]) -> Vec<Answer> {
+        let asks = |wanted: Method| methods.iter().any(|&m| m == wanted || m == Method::CnnBowHv);
+        let cnn = if asks(Method::Cnn) { self.by_cnn(query, horizon) } else { Answer::default() };
+        let bow_hv = if asks(Method::BowHv) { self.by_bow_hv(query, horizon) } else { Answer::default() };
+        let answer = |method: &Method| match method {
+            Method::Cnn => cnn.clone(),
+            Method::BowHv => bow_hv.clone(),
+            Method::CnnBowHv => together(&cnn, &bow_hv),
+        };
+        methods.iter().map(answer).collect()
+    }
+
+    fn by_cnn(&self, query: &Observation, horizon: usize) -> Answer {
+        let (Some(model), Some(descriptor)) = (self.model, &query.look.appearance) else {
+            return Answer::default();
+        };
+        let mut found: Vec<(f32, usize)> = Vec::new();
+        for (reference, observation) in self.reference.observations.iter().take(horizon).enumerate() {
+            let Some(known) = &observation.look.appearance else { continue };
+            found.push((descriptor.cosine(known), reference));
+        }
+        let best_first = |a: &(f32, usize), b: &(f32, usize)| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1));
+        if found.len() > MAX_CANDIDATES {
+            found.select_nth_unstable_by(MAX_CANDIDATES - 1, best_first);
+            found.truncate(MAX_CANDIDATES);
+        }
+        found.sort_unstable_by(best_first);
+        let needed = model.decision.recognise_above;
+        let candidate = |&(cosine, reference): &(f32, usize)| Candidate {
+            reference,
+            place: None,
+            probability: f64::from(model.probability(cosine)),
+            reason: Candidate::reason(Evidence::Cnn, f64::from(cosine), f64::from(needed)),
+        };
+        let is_given = found.first().is_some_and(|best| best.0 >= needed);
+        Answer { candidates: found.iter().map(candidate).collect(), is_given }
+    }
+
+    fn by_bow_hv(&mut self, query: &Observation, horizon: usize) -> Answer {
+        let bow = bow(query, self.vocabulary);
+        let retrieved = self.index.query(&bow, |document| (document.0 as usize) < horizon);
+        let mut found: Vec<(u32, f32, usize)> = retrieved
+            .iter()
+            .map(|retrieved| {
+                let reference = retrieved.document.0 as usize;
+                (self.verify(query, reference).effective_inliers, retrieved.score, reference)
+            })
+            .collect();
+        found.sort_by(|a, b| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
+        found.truncate(MAX_CANDIDATES);
+        let needed = self.options.min_inliers;
+        let candidate = |&(inliers, _, reference): &(u32, f32, usize)| Candidate {
+            reference,
+            place: None,
+            probability: f64::from(inlier_probability(inliers)),
+            reason: Candidate::reason(Evidence::BowHv, f64::from(inliers), f64::from(needed)),
+        };
+        let is_given = found.first().is_some_and(|best| best.0 >= needed);
+        Answer { candidates: found.iter().map(candidate).collect(), is_given }
+    }
+
+    /// The geometry between a query frame and a reference frame.
+    #[must_use]
+    pub fn verify(&self, query: &Observation, reference: usize) -> Verification {
+        let query_groups = groups(&query.look.quantised);
+        let query = MatchingView { features: &query.look.features, groups: &query_groups };
+        let known = &self.reference.observations[reference].look.features;
+        let known = MatchingView { features: known, groups: &self.groups[reference] };
+        verify(query, known, &self.options.verification)
+    }
+}
+
+fn bow(observation: &Observation, vocabulary: &Vocabulary) -> BowVector {
+    BowVector::new(observation.look.quantised.iter().map(|quantised| quantised.word), vocabulary)
+}
+
+/// What the CNN accepts; else what geometry accepts; else the likeliest of both.
+fn together(cnn: &Answer, bow_hv: &Answer) -> Answer {
+    let (first, second) = if bow_hv.is_given && !cnn.is_given { (bow_hv, cnn) } else { (cnn, bow_hv) };
+    let mut candidates = first.candidates.clone();
+    candidates.extend(second.candidates.iter().cloned());
+    if !first.is_given {
+        candidates.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+    }
+    let mut known = Vec::new();
+    candidates.retain(|candidate| {
+        let is_new = !known.contains(&candidate.reference);
+        known.push(candidate.reference);
+        is_new
+    });
+    candidates.truncate(MAX_CANDIDATES);
+    Answer { candidates, is_given: first.is_given }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answer(candidates: &[(usize, f64)], is_given: bool) -> Answer {
+        let candidate = |&(reference, probability): &(usize, f64)| Candidate {
+            reference,
+            place: None,
+            probability,
+            reason: String::new(),
+        };
+        Answer { candidates: candidates.iter().map(candidate).collect(), is_given }
+    }
+
+    fn order(answer: &Answer) -> Vec<usize> {
+        answer.candidates.iter().map(|candidate| candidate.reference).collect()
+    }
+
+    #[test]
+    fn what_the_cnn_accepts_comes_before_what_geometry_finds_likelier() {
+        let both = together(&answer(&[(1, 0.9), (2, 0.3)], true), &answer(&[(3, 0.99), (2, 0.2)], true));
+        assert_eq!((order(&both), both.is_given), (vec![1, 2, 3], true));
+    }
+
+    #[test]
+    fn what_geometry_accepts_comes_before_what_the_cnn_turned_down() {
+        let both = together(&answer(&[(1, 0.8)], false), &answer(&[(3, 0.7)], true));
+        assert_eq!((order(&both), both.is_given), (vec![3, 1], true));
+    }
+
+    #[test]
+    fn where_nothing_is_accepted_the_likeliest_comes_first() {
+        let both = together(&answer(&[(1, 0.2), (2, 0.1)], false), &answer(&[(3, 0.15), (1, 0.1)], false));
+        assert_eq!((order(&both), both.is_given), (vec![1, 3, 2], false));
+    }
+}

@@ -1,0 +1,106 @@
+//! UQ St Lucia (Glover, Maddern, Milford and Wyeth, ICRA 2010): a folder a traverse, with a webcam video
+//! or its frames and a GPS position a frame.
+//!
+//! `fGPS.txt` has a line `LATITUDE,LONGITUDE` a frame. Latitudes are southern; published files leave out
+//! their sign.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::{
+    Images, Layout, LayoutError, LayoutOptions, LayoutTraverse, Rule, different, images, kept, placed,
+};
+use crate::evaluation::ground_truth::{GroundTruthError, position};
+use crate::source::image_files;
+
+/// Latitude and longitude, in degrees, from which positions are counted: one origin for all traverses.
+const ORIGIN: [f64; 2] = [-27.5, 153.0];
+const VIDEO: &str = "webcam_video.avi";
+/// Where extracted frames may lie.
+const FRAME_FOLDERS: [&str; 3] = ["", "frames", "images"];
+/// Spacing and radius of the visual geo-localization benchmark (Berton et al., CVPR 2022), in metres.
+const SPACING_METRES: f64 = 5.0;
+const RADIUS_METRES: f64 = 25.0;
+/// Frames or positions that may be left over at the end, and as a share of all.
+const MAX_LEFT_OVER: (usize, f64) = (30, 0.01);
+
+pub(super) fn read(folder: &Path, options: &LayoutOptions) -> Result<LayoutTraverse, LayoutError> {
+    let files = FRAME_FOLDERS.iter().find_map(|name| image_files(&folder.join(name)).ok());
+    let options =
+        LayoutOptions { spacing_metres: options.spacing_metres.or(Some(SPACING_METRES)), ..*options };
+    let converted = files.as_ref().and_then(|files| files.first()).is_some_and(|file| {
+        position::from_file_name(&file.file_name().unwrap_or_default().to_string_lossy()).is_some()
+    });
+    if converted {
+        return images(folder, &options);
+    }
+    let positions = positions(folder)?;
+    if let Some(files) = files {
+        return of_files(folder, files, &positions, &options);
+    }
+    let path = folder.join(VIDEO);
+    if !path.is_file() {
+        return Err(different(
+            Layout::StLucia,
+            folder,
+            format!("neither {VIDEO} nor images, in it or in frames/"),
+        ));
+    }
+    let kept = kept(&positions, options.spacing_metres);
+    Ok(LayoutTraverse {
+        name: String::new(),
+        positions_metres: Some(kept.iter().map(|&frame| positions[frame]).collect()),
+        images: Images::Video { path, frames: kept.iter().map(|&frame| frame as u64).collect() },
+        loops: None,
+        rule: Rule::Radius { metres: RADIUS_METRES },
+    })
+}
+
+fn of_files(
+    folder: &Path,
+    files: Vec<PathBuf>,
+    positions: &[[f64; 2]],
+    options: &LayoutOptions,
+) -> Result<LayoutTraverse, LayoutError> {
+    let common = files.len().min(positions.len());
+    let left_over = files.len().max(positions.len()) - common;
+    let (most, share) = MAX_LEFT_OVER;
+    if left_over > most || left_over as f64 > share * common as f64 {
+        let reason = format!("{} frames but {} positions", files.len(), positions.len());
+        return Err(different(Layout::StLucia, folder, reason));
+    }
+    Ok(placed(files, &positions[..common], options.spacing_metres, RADIUS_METRES))
+}
+
+/// East and north in metres, a pair a frame.
+fn positions(folder: &Path) -> Result<Vec<[f64; 2]>, LayoutError> {
+    let (text, mat) = (folder.join("fGPS.txt"), folder.join("fGPS.mat"));
+    let degrees = if text.is_file() {
+        degrees_from_text(&text)?
+    } else if mat.is_file() {
+        position::pairs_from_mat(&mat, "fGPS")?
+    } else {
+        return Err(different(Layout::StLucia, folder, "neither fGPS.txt nor fGPS.mat in it"));
+    };
+    if degrees.is_empty() {
+        return Err(different(Layout::StLucia, folder, "no position in its fGPS file"));
+    }
+    let metres =
+        |&[latitude, longitude]: &[f64; 2]| position::metres_from_degrees(-latitude.abs(), longitude, ORIGIN);
+    Ok(degrees.iter().map(metres).collect())
+}
+
+fn degrees_from_text(path: &Path) -> Result<Vec<[f64; 2]>, GroundTruthError> {
+    let text = fs::read_to_string(path).map_err(|error| GroundTruthError::read(path, error))?;
+    let pair = |line: &str| {
+        let (latitude, longitude) = line.split_once(',')?;
+        let pair = [latitude.trim().parse().ok()?, longitude.trim().parse().ok()?];
+        (f64::abs(pair[0]) <= 90.0 && f64::abs(pair[1]) <= 180.0).then_some(pair)
+    };
+    let lines = || (1_u64..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
+    let wrong: Vec<u64> = lines().filter(|(_, line)| pair(line).is_none()).map(|(row, _)| row).collect();
+    if !wrong.is_empty() {
+        return Err(GroundTruthError::rows(path, wrong, "not LATITUDE,LONGITUDE in degrees"));
+    }
+    Ok(lines().filter_map(|(_, line)| pair(line)).collect())
+}

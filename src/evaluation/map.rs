@@ -1,0 +1,140 @@
+//! The robot's database: the map that Loci founds by itself on the reference, then only reads; or one
+//! that grows along the query, where a sequence is compared with its own past.
+//!
+//! Here `loci run` itself answers. The methods differ in what it gets to see: without features there is
+//! no BoW+HV, without a model there is no CNN.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::EvaluationError;
+use super::answer::{Answer, Candidate, MAX_CANDIDATES};
+use super::results::Method;
+use super::traverse::{Eyes, Observation, Traverse};
+use crate::place_map::PlaceMap;
+use crate::recognition::{self, Decision, Look, Recogniser, Recognition, RecognitionOptions};
+
+/// What a robot answered along a traverse, and what it knew in the end.
+pub struct MapRun {
+    /// An answer a frame.
+    pub answers: Vec<Answer>,
+    /// Time of retrieval and of verification and decision a frame, in microseconds.
+    pub latency_us: Vec<(u64, u64)>,
+}
+
+/// A robot with a map in memory. Its experiences are the frames it saw while the map grew, in order.
+pub struct Robot<'a> {
+    method: Method,
+    eyes: &'a Eyes,
+    options: RecognitionOptions,
+    recogniser: Recogniser,
+}
+
+impl<'a> Robot<'a> {
+    /// A robot that knows no place.
+    ///
+    /// # Errors
+    /// If there is no map to be had.
+    pub fn new(
+        method: Method,
+        eyes: &'a Eyes,
+        options: &RecognitionOptions,
+    ) -> Result<Self, EvaluationError> {
+        let options = RecognitionOptions { read_only: false, ..options.clone() };
+        let recogniser = recogniser(method, eyes, PlaceMap::in_memory()?, options.clone());
+        Ok(Self { method, eyes, options, recogniser })
+    }
+
+    /// From now on the map stays as it is.
+    #[must_use]
+    pub fn reading_only(self) -> Self {
+        let options = RecognitionOptions { read_only: true, ..self.options };
+        let recogniser = recogniser(self.method, self.eyes, self.recogniser.into_map(), options.clone());
+        Self { options, recogniser, ..self }
+    }
+
+    /// The frames of each place, in order.
+    #[must_use]
+    pub fn places(&self) -> Vec<Vec<usize>> {
+        let places = self.recogniser.map().places().iter();
+        places.map(|place| place.experiences.iter().map(|id| id.0 as usize).collect()).collect()
+    }
+
+    /// Answers along `traverse`.
+    ///
+    /// # Errors
+    /// If the map cannot grow.
+    pub fn walk(&mut self, traverse: &Traverse) -> Result<MapRun, EvaluationError> {
+        let mut run = MapRun { answers: Vec::new(), latency_us: Vec::new() };
+        for (index, observation) in traverse.observations.iter().enumerate() {
+            let look = self.look(observation);
+            let frame = observation.frame(index);
+            let started = Instant::now();
+            let mut candidates = self.recogniser.retrieve(&look);
+            let retrieval_us = started.elapsed().as_micros() as u64;
+            let verification = self.recogniser.verify(&look, &mut candidates);
+            let recognition = self.recogniser.decide(&frame, &look, (candidates, verification), Vec::new)?;
+            let verification_us = started.elapsed().as_micros() as u64 - retrieval_us;
+            run.answers.push(self.answer(&recognition));
+            run.latency_us.push((retrieval_us, verification_us));
+        }
+        Ok(run)
+    }
+
+    /// What the method gets to see.
+    fn look(&self, observation: &Observation) -> Look {
+        let look = &observation.look;
+        match self.method {
+            Method::Cnn => Look { appearance: look.appearance.clone(), ..Look::default() },
+            Method::BowHv => Look { appearance: None, ..look.clone() },
+            Method::CnnBowHv => look.clone(),
+        }
+    }
+
+    fn answer(&self, recognition: &Recognition) -> Answer {
+        let is_given = matches!(recognition.decision, Decision::Recognised | Decision::Revisited);
+        let confidence = f64::from(recognition.confidence);
+        // What was decided to be no match is a match with the remaining probability.
+        let best = if is_given { confidence } else { 1.0 - confidence };
+        let mut order: Vec<&recognition::Candidate> = recognition.candidates.iter().collect();
+        if !is_given {
+            order.sort_by(|a, b| self.likelihood(b).total_cmp(&self.likelihood(a)));
+        }
+        let mut candidates: Vec<Candidate> = Vec::new();
+        for candidate in order {
+            let place = candidate.place.0 as usize;
+            if candidates.iter().any(|known| known.place == Some(place)) {
+                continue;
+            }
+            let likelihood = f64::from(self.likelihood(candidate));
+            candidates.push(Candidate {
+                reference: candidate.keyframe.0 as usize,
+                place: Some(place),
+                probability: if candidates.is_empty() { best } else { likelihood.min(best) },
+                reason: reason(candidate),
+            });
+        }
+        candidates.truncate(MAX_CANDIDATES);
+        Answer { candidates, is_given }
+    }
+
+    fn likelihood(&self, candidate: &recognition::Candidate) -> f32 {
+        self.recogniser.probability(candidate)
+    }
+}
+
+fn recogniser(method: Method, eyes: &Eyes, map: PlaceMap, options: RecognitionOptions) -> Recogniser {
+    let model = eyes.model.as_ref().filter(|_| method != Method::BowHv).map(|model| model.card().clone());
+    Recogniser::new(Arc::clone(&eyes.vocabulary), map, model, options)
+}
+
+fn reason(candidate: &recognition::Candidate) -> String {
+    let found = match candidate.inliers {
+        Some(inliers) => format!("{inliers} effective inliers"),
+        None => format!("{} score {:.3}", candidate.by.as_str(), candidate.score),
+    };
+    match candidate.rejected {
+        Some(rejected) => format!("{found}, rejected: {rejected}"),
+        None => format!("{found}, accepted"),
+    }
+}

@@ -1,0 +1,189 @@
+//! Figures as text: the columns of the table of figures, and the numbers in its cells.
+
+use crate::evaluation::metrics::{Estimate, Proportion};
+use crate::evaluation::results::{Figures, MethodResult, Report};
+
+/// Stands where there is nothing to count.
+pub(super) const NOTHING: &str = "–";
+
+/// One figure of one method.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Cell {
+    /// Rate, value or counts.
+    pub(super) value: String,
+    /// Low and high end of the 95 % interval.
+    pub(super) interval: Option<(String, String)>,
+    /// What was counted.
+    pub(super) n: Option<u64>,
+    /// How many of them succeeded, where the figure is a proportion.
+    pub(super) successes: Option<u64>,
+}
+
+impl Cell {
+    /// A proportion, if anything was counted.
+    pub(super) fn proportion(figure: Option<&Proportion>) -> Option<Self> {
+        figure.filter(|figure| figure.n > 0).map(|figure| Self {
+            value: decimal(figure.rate),
+            interval: Some((decimal(figure.low), decimal(figure.high))),
+            n: Some(figure.n),
+            successes: Some(figure.successes),
+        })
+    }
+
+    fn estimate(figure: Option<&Estimate>) -> Option<Self> {
+        figure.map(|figure| Self {
+            value: decimal(figure.value),
+            interval: Some((decimal(figure.low), decimal(figure.high))),
+            n: Some(figure.n),
+            successes: None,
+        })
+    }
+
+    fn places(figures: &Figures) -> Option<Self> {
+        let count = |places: Option<u64>| places.map_or_else(|| NOTHING.to_owned(), thousands);
+        figures.places_founded.or(figures.true_places)?;
+        let value = format!("{} / {}", count(figures.places_founded), count(figures.true_places));
+        Some(Self { value, interval: None, n: None, successes: None })
+    }
+}
+
+/// One column of the table of figures.
+pub(super) struct Column {
+    /// Its head.
+    pub(super) title: &'static str,
+    /// The fields of [`Figures`] that it shows.
+    pub(super) keys: &'static [&'static str],
+    /// The figure, if there is one.
+    pub(super) cell: fn(&Figures) -> Option<Cell>,
+}
+
+impl Column {
+    /// What the column means, in the report's own words.
+    pub(super) fn definition(&self, report: &Report) -> String {
+        let sentences: Vec<&str> =
+            self.keys.iter().filter_map(|key| report.definitions.get(key).copied()).collect();
+        sentences.join(" / ")
+    }
+}
+
+const fn column(
+    title: &'static str,
+    keys: &'static [&'static str],
+    cell: fn(&Figures) -> Option<Cell>,
+) -> Column {
+    Column { title, keys, cell }
+}
+
+/// All columns, in the order of the definitions.
+pub(super) const COLUMNS: [Column; 14] = [
+    column("Recognition rate", &["recognition_rate"], |f| Cell::proportion(f.recognition_rate.as_ref())),
+    column("Precision", &["precision"], |f| Cell::proportion(f.precision.as_ref())),
+    column("Recall", &["recall"], |f| Cell::proportion(f.recall.as_ref())),
+    column("Keyframe precision", &["keyframe_precision"], |f| {
+        Cell::proportion(f.keyframe_precision.as_ref())
+    }),
+    column("R@1", &["recall_at_1"], |f| Cell::proportion(f.recall_at_1.as_ref())),
+    column("R@5", &["recall_at_5"], |f| Cell::proportion(f.recall_at_5.as_ref())),
+    column("R@10", &["recall_at_10"], |f| Cell::proportion(f.recall_at_10.as_ref())),
+    column("AUC", &["auc"], |f| Cell::estimate(f.auc.as_ref())),
+    column("R@100P", &["recall_at_full_precision"], |f| {
+        Cell::proportion(f.recall_at_full_precision.as_ref())
+    }),
+    column("False accepts", &["false_accepts"], |f| Cell::proportion(f.false_accepts.as_ref())),
+    column("AUROC", &["auroc"], |f| Cell::estimate(f.auroc.as_ref())),
+    column("ECE", &["expected_calibration_error"], |f| Cell::estimate(f.expected_calibration_error.as_ref())),
+    column("Purity", &["purity"], |f| Cell::proportion(f.purity.as_ref())),
+    column("Places founded / true", &["places_founded", "true_places"], Cell::places),
+];
+
+/// The columns that hold anything in these rows.
+pub(super) fn columns_in_use(results: &[MethodResult]) -> Vec<&'static Column> {
+    const ALL: &[Column] = &COLUMNS;
+    ALL.iter()
+        .filter(|column| results.iter().any(|result| (column.cell)(&result.figures).is_some()))
+        .collect()
+}
+
+/// Three decimals; [`NOTHING`] where there is no number.
+pub(super) fn decimal(value: f64) -> String {
+    if !value.is_finite() {
+        return NOTHING.to_owned();
+    }
+    let text = format!("{value:.3}");
+    if text == "-0.000" { "0.000".to_owned() } else { text }
+}
+
+/// A count with a comma before each three digits.
+pub(super) fn thousands(count: u64) -> String {
+    let digits = count.to_string();
+    let mut grouped = String::with_capacity(digits.len() + digits.len() / 3);
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            grouped.push(',');
+        }
+        grouped.push(digit);
+    }
+    grouped
+}
+
+/// Microseconds as milliseconds, exactly.
+pub(super) fn milliseconds(micros: u64) -> String {
+    format!("{}.{:03}", thousands(micros / 1000), micros % 1000)
+}
+
+/// Bytes as MiB with one decimal.
+pub(super) fn mebibytes(bytes: u64) -> String {
+    format!("{}.{}", thousands(bytes >> 20), ((bytes & ((1 << 20) - 1)) * 10) >> 20)
+}
+
+/// A proportion in one line: rate, interval and n.
+pub(super) fn proportion(figure: Option<&Proportion>) -> String {
+    line(Cell::proportion(figure).as_ref())
+}
+
+/// A cell in one line: `rate [low, high] n`.
+pub(super) fn line(cell: Option<&Cell>) -> String {
+    let Some(cell) = cell else { return NOTHING.to_owned() };
+    let mut text = cell.value.clone();
+    if let Some((low, high)) = &cell.interval {
+        text = format!("{text} [{low}, {high}]");
+    }
+    if let Some(n) = cell.n {
+        text = format!("{text} {}", thousands(n));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_grouped_and_rounded() {
+        assert_eq!(thousands(0), "0");
+        assert_eq!(thousands(999), "999");
+        assert_eq!(thousands(1_000), "1,000");
+        assert_eq!(thousands(u64::MAX), "18,446,744,073,709,551,615");
+        assert_eq!(decimal(0.9996), "1.000");
+        assert_eq!(decimal(-0.0001), "0.000");
+        assert_eq!(decimal(f64::NAN), NOTHING);
+        assert_eq!(milliseconds(1_234_005), "1,234.005");
+        assert_eq!(mebibytes(1_572_864), "1.5");
+        assert_eq!(mebibytes(u64::MAX), "17,592,186,044,415.9");
+    }
+
+    #[test]
+    fn every_definition_has_its_column() {
+        let shown: Vec<&str> = COLUMNS.iter().flat_map(|column| column.keys.iter().copied()).collect();
+        let defined: Vec<&str> =
+            crate::evaluation::definitions::DEFINITIONS.iter().map(|&(key, _)| key).collect();
+        assert_eq!(shown, defined);
+    }
+
+    #[test]
+    fn nothing_counted_is_a_dash() {
+        let empty = Proportion { successes: 0, n: 0, rate: 0.0, low: 0.0, high: 1.0 };
+        assert_eq!(proportion(Some(&empty)), NOTHING);
+        assert_eq!(proportion(None), NOTHING);
+    }
+}

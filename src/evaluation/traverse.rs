@@ -1,0 +1,313 @@
+//! Traverses: what was seen along a route, kept without its pixels so that every method answers about
+//! the same features and descriptors.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::EvaluationError;
+use super::ground_truth::{GroundTruthError, LoopMatrix, RowFilter, Table};
+use super::layout::{self, Layout, LayoutOptions};
+use super::results::TraverseSummary;
+use crate::cnn::DescriptorModel;
+use crate::feature::OrbExtractor;
+use crate::frame::Frame;
+use crate::pipeline::{Perception, PerceptionLatency, Seen, Watcher};
+use crate::raster::{GreyImage, RgbImage};
+use crate::recognition::Look;
+use crate::source::{
+    self, DirectorySource, FrameSource, SourceError, VideoSource, image_files, thumbnail_jpeg,
+};
+use crate::vocabulary::Vocabulary;
+
+/// What looks at the frames.
+pub struct Eyes {
+    /// Finds features.
+    pub extractor: OrbExtractor,
+    /// Knows their words.
+    pub vocabulary: Arc<Vocabulary>,
+    /// The CNN, if there is one.
+    pub model: Option<DescriptorModel>,
+}
+
+/// Where the frames of a traverse come from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Frames {
+    /// A source as `loci run` takes it.
+    Source(String),
+    /// Image files, in order.
+    Files(Vec<PathBuf>),
+    /// Frames of a video file, by index.
+    Video {
+        /// The file.
+        path: PathBuf,
+        /// Which frames.
+        frames: Vec<u64>,
+    },
+}
+
+/// A traverse that was not looked at yet.
+#[derive(Clone, Debug)]
+pub struct TraversePlan {
+    /// Its name.
+    pub name: String,
+    /// Its frames.
+    pub frames: Frames,
+    /// Every how many frames one is looked at.
+    pub sample_interval: u64,
+    /// Where each frame was taken, in metres, where a layout says it.
+    pub positions_metres: Option<Vec<[f64; 2]>>,
+    /// Which frames show the same place, where a layout says it.
+    pub loops: Option<(PathBuf, LoopMatrix)>,
+    /// When frames show the same place by the usual protocol of the layout.
+    pub rule: layout::Rule,
+    /// The rows of the ground-truth table that the frames are, if they come from one.
+    pub table_rows: Option<Vec<usize>>,
+}
+
+impl TraversePlan {
+    /// The traverse at `source`: a folder laid out in a known way, or whatever `loci run` reads.
+    ///
+    /// # Errors
+    /// If the folder is not laid out so.
+    pub fn open(
+        source: &str,
+        layout: Layout,
+        options: &LayoutOptions,
+        sample_interval: u64,
+    ) -> Result<Self, EvaluationError> {
+        let path = Path::new(source);
+        if !path.is_dir() {
+            return Ok(Self::of_frames(
+                source.to_owned(),
+                Frames::Source(source.to_owned()),
+                sample_interval,
+            ));
+        }
+        if layout == Layout::Images && image_files(path).is_err() {
+            let files = files_of_subfolders(path)?;
+            return Ok(Self::of_frames(folder_name(path), Frames::Files(files), sample_interval));
+        }
+        let read = layout::read(layout, path, options)?;
+        let frames = match read.images {
+            layout::Images::Files(files) => Frames::Files(files),
+            layout::Images::Video { path, frames } => Frames::Video { path, frames },
+        };
+        Ok(Self {
+            positions_metres: read.positions_metres,
+            loops: read.loops,
+            rule: read.rule,
+            ..Self::of_frames(read.name, frames, sample_interval)
+        })
+    }
+
+    /// The traverse that the chosen rows of a ground-truth table are.
+    ///
+    /// # Errors
+    /// If no row is chosen, or one names a file that is not there.
+    pub fn of_rows(table: &Table, filter: &RowFilter) -> Result<Self, GroundTruthError> {
+        let rows = filter.choose(table)?;
+        let files = table.files(table.file_column(filter.files())?)?;
+        let folder = table.path().parent().map(folder_name).unwrap_or_default();
+        let name = match filter.to_string() {
+            text if text.is_empty() => folder,
+            text => format!("{folder}, {text}"),
+        };
+        let frames = Frames::Files(rows.iter().map(|&row| files[row].clone()).collect());
+        Ok(Self { table_rows: Some(rows), ..Self::of_frames(name, frames, 1) })
+    }
+
+    fn of_frames(name: String, frames: Frames, sample_interval: u64) -> Self {
+        Self {
+            name,
+            frames,
+            sample_interval,
+            positions_metres: None,
+            loops: None,
+            rule: layout::Rule::None,
+            table_rows: None,
+        }
+    }
+
+    /// Number of frames before sampling, where it is known beforehand.
+    #[must_use]
+    pub fn frame_count(&self) -> Option<usize> {
+        match &self.frames {
+            Frames::Source(_) => None,
+            Frames::Files(files) => Some(files.len()),
+            Frames::Video { frames, .. } => Some(frames.len()),
+        }
+    }
+
+    fn source(&self) -> Result<Box<dyn FrameSource>, SourceError> {
+        let step = usize::try_from(self.sample_interval).unwrap_or(usize::MAX).max(1);
+        Ok(match &self.frames {
+            Frames::Source(source) => source::open(source, Some(self.sample_interval))?,
+            Frames::Files(files) => {
+                Box::new(DirectorySource::of_files(files.iter().step_by(step).cloned().collect()))
+            }
+            Frames::Video { path, frames } => {
+                Box::new(VideoSource::with_frames(path, frames.iter().copied().step_by(step).collect())?)
+            }
+        })
+    }
+
+    /// The number of a frame in the traverse before sampling.
+    fn number(&self, frame: &Frame) -> u64 {
+        match &self.frames {
+            Frames::Source(_) => frame.index,
+            Frames::Files(_) => frame.index * self.sample_interval.max(1),
+            Frames::Video { frames, .. } => frames.binary_search(&frame.index).unwrap_or_default() as u64,
+        }
+    }
+
+    /// Looks at every frame; with `keeps_pictures` a small JPEG of each stays for reports.
+    ///
+    /// # Errors
+    /// If the source cannot be opened, holds no readable frame, or `stop` was set meanwhile.
+    pub fn observe(
+        &self,
+        eyes: &mut Eyes,
+        keeps_pictures: bool,
+        (stop, watcher): (&AtomicBool, &dyn Watcher),
+    ) -> Result<Traverse, EvaluationError> {
+        let mut observations = Vec::new();
+        let perception = Perception {
+            extractor: &eyes.extractor,
+            vocabulary: &eyes.vocabulary,
+            model: eyes.model.as_mut(),
+        };
+        let skipped = perception.run(self.source()?, stop, watcher, |seen| {
+            let number = self.number(&seen.frame);
+            observations.push(self.observation(seen, number, keeps_pictures));
+            Ok::<_, EvaluationError>(ControlFlow::Continue(()))
+        })?;
+        if stop.load(Ordering::Relaxed) {
+            return Err(EvaluationError::Interrupted);
+        }
+        if observations.is_empty() {
+            return Err(EvaluationError::NoFrames { name: self.name.clone() });
+        }
+        Ok(Traverse { name: self.name.clone(), observations, skipped })
+    }
+
+    fn observation(&self, seen: Seen, number: u64, keeps_picture: bool) -> Observation {
+        let Seen { frame, look, latency, .. } = seen;
+        let name = match &self.frames {
+            Frames::Files(files) => files.get(number as usize).map(|path| name_in(path, files)),
+            _ => None,
+        };
+        Observation {
+            number,
+            name: name.unwrap_or_else(|| frame.name.clone()),
+            position_metres: frame.pose.map(|pose| [pose.position_metres[0], pose.position_metres[1]]),
+            true_place: frame.true_place,
+            size_px: (frame.colour.width() as u32, frame.colour.height() as u32),
+            picture_jpeg: if keeps_picture { thumbnail_jpeg(&frame.colour) } else { Vec::new() },
+            look,
+            latency,
+        }
+    }
+}
+
+/// The images of all subfolders of `folder`, in natural order.
+fn files_of_subfolders(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
+    let error = |source| SourceError::Io { path: folder.to_owned(), source };
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(error)? {
+        let path = entry.map_err(error)?.path();
+        if path.is_dir() {
+            files.extend(image_files(&path).unwrap_or_default());
+        }
+    }
+    if files.is_empty() {
+        return Err(SourceError::NoImages { path: folder.to_owned() });
+    }
+    source::sort_naturally(&mut files);
+    Ok(files)
+}
+
+/// The last part of a path, or all of it where that is `.` or `..`.
+fn folder_name(path: &Path) -> String {
+    path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+}
+
+/// The name of a file: with its folder, where not all `files` stand in one.
+fn name_in(path: &Path, files: &[PathBuf]) -> String {
+    let file = path.file_name().unwrap_or_default().to_string_lossy();
+    let in_one_folder = files.first().map(|first| first.parent()) == files.last().map(|last| last.parent());
+    match path.parent() {
+        Some(folder) if !in_one_folder => format!("{}/{file}", folder_name(folder)),
+        _ => file.into_owned(),
+    }
+}
+
+/// A frame as evaluation keeps it.
+#[derive(Clone, Debug)]
+pub struct Observation {
+    /// Its number in the traverse before sampling.
+    pub number: u64,
+    /// What a person would call it.
+    pub name: String,
+    /// Where the camera was, if the source knows.
+    pub position_metres: Option<[f64; 2]>,
+    /// The place it truly shows, if the source knows.
+    pub true_place: Option<u32>,
+    /// Width and height in pixels.
+    pub size_px: (u32, u32),
+    /// A small JPEG of it, if it was asked for.
+    pub picture_jpeg: Vec<u8>,
+    /// What was seen.
+    pub look: Look,
+    /// How long seeing took.
+    pub latency: PerceptionLatency,
+}
+
+impl Observation {
+    /// The frame without its pixels, which recognition does not look at.
+    #[must_use]
+    pub fn frame(&self, index: usize) -> Frame {
+        Frame {
+            index: index as u64,
+            capture_nanos: 0,
+            name: self.name.clone(),
+            colour: RgbImage::new(1, 1),
+            grey: GreyImage::new(1, 1),
+            jpeg: None,
+            pose: None,
+            true_place: None,
+        }
+    }
+}
+
+/// A traverse that was looked at.
+#[derive(Clone, Debug)]
+pub struct Traverse {
+    /// Its name.
+    pub name: String,
+    /// Its frames, in order.
+    pub observations: Vec<Observation>,
+    /// Frames that could not be read.
+    pub skipped: u64,
+}
+
+impl Traverse {
+    /// Number of frames that were looked at.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.observations.len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.observations.is_empty()
+    }
+
+    /// What reports say of it.
+    #[must_use]
+    pub fn summary(&self) -> TraverseSummary {
+        TraverseSummary { name: self.name.clone(), frames: self.len() as u64, skipped: self.skipped }
+    }
+}

@@ -1,0 +1,105 @@
+//! Plans from a ground-truth table: a row for every frame.
+
+use std::collections::HashMap;
+use std::fs;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use super::{Kind, TruthPlan, hash_of};
+use crate::evaluation::ground_truth::{GroundTruthError, Spot, Table, TableSpots, Tolerance};
+use crate::evaluation::traverse::{Frames, TraversePlan};
+
+/// Most frames without a row that an error lists.
+const MAX_LISTED: usize = 5;
+
+/// A `.csv` file whose first line has letters is a table, not a matrix of numbers.
+pub(super) fn is_table(path: &Path) -> Result<bool, GroundTruthError> {
+    if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("csv")) {
+        return Ok(false);
+    }
+    let read = |error| GroundTruthError::read(path, error);
+    let mut first = Vec::new();
+    let file = fs::File::open(path).map_err(read)?;
+    BufReader::new(file.take(1 << 16)).read_until(b'\n', &mut first).map_err(read)?;
+    Ok(first.iter().any(u8::is_ascii_alphabetic))
+}
+
+/// The plan over the rows that the frames have in `table`.
+pub(super) fn of_table(
+    table: &Table,
+    tolerance: Tolerance,
+    query: &TraversePlan,
+    reference: Option<&TraversePlan>,
+) -> Result<TruthPlan, GroundTruthError> {
+    let query_rows = rows_of(table, query)?;
+    let reference_rows = reference.map(|plan| rows_of(table, plan)).transpose()?;
+    let kind = match table.spots(tolerance.ordinals > 0)? {
+        TableSpots::Spots(spots) => {
+            let pick = |rows: &[usize]| rows.iter().map(|&row| spots[row].clone()).collect::<Vec<_>>();
+            let query = pick(&query_rows);
+            let reference = reference_rows.as_deref().map_or_else(|| query.clone(), pick);
+            Kind::Spots { query, reference, tolerance }
+        }
+        TableSpots::Earlier(earlier) => {
+            let references = reference_rows.as_deref().unwrap_or(&query_rows);
+            let number: HashMap<u32, u32> =
+                (0..).zip(references).map(|(number, &row)| (row as u32, number)).collect();
+            let row = |&row: &usize| -> Vec<u32> {
+                let mut numbers: Vec<u32> =
+                    earlier[row].iter().filter_map(|row| number.get(row).copied()).collect();
+                numbers.sort_unstable();
+                numbers
+            };
+            Kind::Pairs(query_rows.iter().map(row).collect())
+        }
+    };
+    Ok(TruthPlan { definition: definition(table, &kind), sha256: hash_of(table.path())?, kind })
+}
+
+fn definition(table: &Table, kind: &Kind) -> String {
+    let file = table.path().file_name().unwrap_or_default().to_string_lossy();
+    let Kind::Spots { query, tolerance, .. } = kind else {
+        return format!("{file} lists the pair");
+    };
+    match query.iter().find(|spot| **spot != Spot::Unscored) {
+        Some(Spot::LapPhase(_)) => {
+            format!("lap phases of {file} within {} % of a lap", 100.0 * tolerance.lap_share)
+        }
+        Some(Spot::Metres(_)) => format!("positions of {file} within {} m", tolerance.radius_metres),
+        Some(Spot::Ordinal(_)) => format!("place numbers of {file} at most {} apart", tolerance.ordinals),
+        _ => format!("a place in common in {file}"),
+    }
+}
+
+/// The row of every frame of a traverse.
+fn rows_of(table: &Table, plan: &TraversePlan) -> Result<Vec<usize>, GroundTruthError> {
+    if let Some(rows) = &plan.table_rows {
+        return Ok(rows.clone());
+    }
+    let Frames::Files(files) = &plan.frames else {
+        let reason = format!("{} needs image files, and {} has none", table.path().display(), plan.name);
+        return Err(GroundTruthError::Mismatch(reason));
+    };
+    let canonical = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let column = table.file_column(None)?;
+    let row_of: HashMap<PathBuf, usize> =
+        (0..).zip(table.files(column)?).map(|(row, file)| (canonical(&file), row)).collect();
+    let rows: Vec<Option<usize>> = files.iter().map(|file| row_of.get(&canonical(file)).copied()).collect();
+    let without: Vec<String> = files
+        .iter()
+        .zip(&rows)
+        .filter(|(_, row)| row.is_none())
+        .map(|(file, _)| file.file_name().unwrap_or_default().to_string_lossy().into_owned())
+        .collect();
+    if !without.is_empty() {
+        let listed = without.iter().take(MAX_LISTED).cloned().collect::<Vec<_>>().join(", ");
+        let reason = format!(
+            "{} of the {} frames of {} have no row ({listed}…)",
+            without.len(),
+            files.len(),
+            plan.name
+        );
+        return Err(GroundTruthError::malformed(table.path(), reason));
+    }
+    Ok(rows.into_iter().flatten().collect())
+}
