@@ -299,6 +299,7 @@ fn header(
             name: format!("{} {}", card.name, card.version),
             sha256: card.sha256.clone(),
         }),
+        suite: None,
         settings: setting_values(options, card),
     })
 }

@@ -3,7 +3,7 @@
 /// Names and meanings of the [`Figures`](super::results::Figures). "Known" frames are the scored query
 /// frames whose place the reference shows, "unknown" ones the rest; an answer is "given" at the shipped
 /// threshold.
-pub const DEFINITIONS: [(&str, &str); 15] = [
+pub const DEFINITIONS: [(&str, &str); 16] = [
     (
         "recognition_rate",
         "scored query frames, known or not, whose place is named rightly / all scored query frames; \
@@ -36,6 +36,11 @@ pub const DEFINITIONS: [(&str, &str); 15] = [
          in hand",
     ),
     ("false_accepts", "unknown frames that were given an answer / unknown frames; at the shipped threshold"),
+    (
+        "unjudged_answers",
+        "answers given of which the ground truth says nothing; they count in no share of right answers, and \
+         those to unknown frames not in false accepts",
+    ),
     (
         "auroc",
         "probability that a known frame's best candidate gets a higher confidence than an unknown \

@@ -143,6 +143,7 @@ impl<'a> Evaluator<'a> {
             query: query.summary(),
             unknown: unknown.as_ref().map(|traverse| traverse.summary()),
             ground_truth: summary(&scene),
+            settings: std::collections::BTreeMap::new(),
             warnings: warnings(&scene, &all, self.eyes.model.is_some()),
             results: all.iter().map(|answers| self.result(&scene, answers)).collect(),
             paper,
@@ -244,6 +245,7 @@ impl<'a> Evaluator<'a> {
             figures: score.figures,
             precision_recall: score.precision_recall,
             calibration: score.calibration,
+            answers: Vec::new(),
             confusion: confused_places(scene, answers, &judged),
             worst: if self.keeps_pictures {
                 worst::mistakes(scene, answers, &judged, &self.options)

@@ -50,6 +50,8 @@ pub struct Header {
     pub vocabulary: Asset,
     /// The CNN, if one ran.
     pub model: Option<Asset>,
+    /// The suite that says what is asked, if it was not asked for in arguments.
+    pub suite: Option<Asset>,
     /// Every setting that bears on a decision, by name.
     pub settings: BTreeMap<String, String>,
 }
@@ -78,6 +80,8 @@ pub struct Experiment {
     pub unknown: Option<TraverseSummary>,
     /// What counts as right.
     pub ground_truth: GroundTruthSummary,
+    /// Every setting of this experiment alone, by name.
+    pub settings: BTreeMap<String, String>,
     /// What makes these figures doubtful.
     pub warnings: Vec<String>,
     /// One a method and database.
@@ -185,6 +189,30 @@ pub struct MethodResult {
     pub confusion: Option<Confusion>,
     /// The worst false accepts and misses.
     pub worst: Vec<ImagePair>,
+    /// Every answer, given or not.
+    #[serde(skip)]
+    pub answers: Vec<AnswerRecord>,
+}
+
+/// What one method found for one query frame.
+#[derive(Clone, Debug, Serialize)]
+pub struct AnswerRecord {
+    /// Name of the frame that was asked about.
+    pub query: String,
+    /// Whether the reference shows its place; `None` where it is not scored.
+    pub is_known: Option<bool>,
+    /// Whether an answer was given at the shipped threshold.
+    pub is_given: bool,
+    /// Confidence in the best candidate, 0 to 1.
+    pub confidence: f64,
+    /// Name of the best candidate: the reference frame, or the keyframe of the place.
+    pub reference: Option<String>,
+    /// The place it belongs to, where a map was searched.
+    pub place: Option<u64>,
+    /// Whether the best candidate is right; `None` where the ground truth says nothing of it.
+    pub is_right: Option<bool>,
+    /// Why the method answered so.
+    pub reason: String,
 }
 
 /// The figures of one method; `null` where there is nothing to count.
@@ -201,6 +229,7 @@ pub struct Figures {
     pub auc: Option<Estimate>,
     pub recall_at_full_precision: Option<Proportion>,
     pub false_accepts: Option<Proportion>,
+    pub unjudged_answers: Option<u64>,
     pub auroc: Option<Estimate>,
     pub expected_calibration_error: Option<Estimate>,
     pub purity: Option<Proportion>,
@@ -208,13 +237,16 @@ pub struct Figures {
     pub true_places: Option<u64>,
 }
 
-/// Which true place was taken for which.
+/// Which true place was taken for which, over the answers given.
 #[derive(Clone, Debug, Serialize)]
 pub struct Confusion {
     /// Number of true places; rows and columns of the matrix, in order of first appearance.
     pub true_places: u32,
-    /// Row (true place of the query), column (true place of the answer) and number of answers.
+    /// Row (true place of the query), column (true place of the matched keyframe) and number of answers.
+    /// All right answers lie on the diagonal.
     pub cells: Vec<(u32, u32, u64)>,
+    /// Answers to frames of places that the reference does not show: wrong, and in no row.
+    pub of_unknown: u64,
 }
 
 /// Why a pair of images is shown.

@@ -96,7 +96,11 @@ pub fn confusion(true_places: u32, answered: impl IntoIterator<Item = (u32, u32)
     for cell in answered {
         *counts.entry(cell).or_insert(0) += 1;
     }
-    Confusion { true_places, cells: counts.into_iter().map(|((row, column), n)| (row, column, n)).collect() }
+    Confusion {
+        true_places,
+        cells: counts.into_iter().map(|((row, column), n)| (row, column, n)).collect(),
+        of_unknown: 0,
+    }
 }
 
 #[cfg(test)]

@@ -39,6 +39,12 @@ impl Cell {
         })
     }
 
+    /// A count, if there is anything to tell.
+    fn count(figure: Option<u64>) -> Option<Self> {
+        let value = thousands(figure.filter(|&count| count > 0)?);
+        Some(Self { value, interval: None, n: None, successes: None })
+    }
+
     fn places(figures: &Figures) -> Option<Self> {
         let count = |places: Option<u64>| places.map_or_else(|| NOTHING.to_owned(), thousands);
         figures.places_founded.or(figures.true_places)?;
@@ -75,7 +81,7 @@ const fn column(
 }
 
 /// All columns, in the order of the definitions.
-pub(super) const COLUMNS: [Column; 14] = [
+pub(super) const COLUMNS: [Column; 15] = [
     column("Recognition rate", &["recognition_rate"], |f| Cell::proportion(f.recognition_rate.as_ref())),
     column("Precision", &["precision"], |f| Cell::proportion(f.precision.as_ref())),
     column("Recall", &["recall"], |f| Cell::proportion(f.recall.as_ref())),
@@ -90,6 +96,7 @@ pub(super) const COLUMNS: [Column; 14] = [
         Cell::proportion(f.recall_at_full_precision.as_ref())
     }),
     column("False accepts", &["false_accepts"], |f| Cell::proportion(f.false_accepts.as_ref())),
+    column("Unjudged answers", &["unjudged_answers"], |f| Cell::count(f.unjudged_answers)),
     column("AUROC", &["auroc"], |f| Cell::estimate(f.auroc.as_ref())),
     column("ECE", &["expected_calibration_error"], |f| Cell::estimate(f.expected_calibration_error.as_ref())),
     column("Purity", &["purity"], |f| Cell::proportion(f.purity.as_ref())),

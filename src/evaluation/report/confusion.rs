@@ -110,7 +110,8 @@ mod tests {
 
     #[test]
     fn more_places_than_rows_share_them() {
-        let confusion = Confusion { true_places: 121, cells: vec![(0, 2, 3), (120, 120, 5), (121, 0, 9)] };
+        let confusion =
+            Confusion { true_places: 121, cells: vec![(0, 2, 3), (120, 120, 5), (121, 0, 9)], of_unknown: 0 };
         let binned = Binned::new(&confusion);
         assert_eq!((binned.size, binned.places_per_row), (41, 3));
         assert_eq!((binned.counts[0], binned.counts[41 * 41 - 1]), (3, 5));
@@ -119,14 +120,18 @@ mod tests {
 
     #[test]
     fn sixty_places_keep_a_row_each() {
-        let binned = Binned::new(&Confusion { true_places: 60, cells: vec![] });
+        let binned = Binned::new(&Confusion { true_places: 60, cells: vec![], of_unknown: 0 });
         assert_eq!((binned.size, binned.places_per_row), (60, 1));
         let huge = Binned::new(&Confusion {
             true_places: u32::MAX,
             cells: vec![(u32::MAX, 0, 1), (7, 7, u64::MAX)],
+            of_unknown: 0,
         });
         assert!(huge.size <= LARGEST);
         assert_eq!(huge.answers, u64::MAX);
-        assert_eq!(Binned::new(&Confusion { true_places: 0, cells: vec![(0, 0, 1)] }).answers, 0);
+        assert_eq!(
+            Binned::new(&Confusion { true_places: 0, cells: vec![(0, 0, 1)], of_unknown: 0 }).answers,
+            0
+        );
     }
 }

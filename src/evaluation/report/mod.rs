@@ -1,7 +1,7 @@
 //! An evaluation as people read it: one HTML file that needs nothing beside it, and Markdown; and as
 //! programs read it, JSON. All three show the same [`Report`]; none computes a figure of its own.
 //!
-//! File names are hostile here: everything that comes from data is escaped in [`text`].
+//! File names are hostile here: everything that comes from data is escaped in `text`.
 
 mod canvas;
 mod cells;

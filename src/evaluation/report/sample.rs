@@ -40,6 +40,7 @@ fn header() -> Header {
         backend: "ONNX Runtime 1.32.0, CPU; AVX2 kernels".into(),
         vocabulary: Asset { name: "street.lvoc".into(), sha256: "0123456789abcdef".repeat(4) },
         model: Some(Asset { name: "places.onnx".into(), sha256: "fedcba9876543210".repeat(4) }),
+        suite: Some(Asset { name: "suite.toml".into(), sha256: "89abcdef01234567".repeat(4) }),
         settings: settings.map(|(name, value)| (name.to_owned(), value.to_owned())).into(),
     }
 }
@@ -59,6 +60,7 @@ pub(super) fn empty() -> Experiment {
             unknown: 0,
             unscored: 0,
         },
+        settings: BTreeMap::from([("recent_frames".to_owned(), "20".to_owned())]),
         warnings: vec![],
         results: vec![],
         paper: None,
@@ -87,6 +89,10 @@ fn full() -> Experiment {
             unknown: 1_204,
             unscored: 31,
         },
+        settings: BTreeMap::from([
+            ("sample_interval".to_owned(), "3".to_owned()),
+            ("tolerance.frames".to_owned(), "10".to_owned()),
+        ]),
         warnings: vec![
             format!("3 frames of the reference could not be read, the first {HOSTILE}"),
             "the vocabulary was trained on frames of this street".into(),
@@ -150,6 +156,7 @@ fn result(method: Method, database: Database, index: u32) -> MethodResult {
         calibration: calibration(skill),
         confusion: (database == Database::Map).then(|| confusion(if index == 3 { 48 } else { 181 }, index)),
         worst: if index == 2 { pairs() } else { vec![] },
+        answers: vec![],
     }
 }
 
@@ -167,6 +174,7 @@ fn figures(index: u64, skill: f64, founds_places: bool) -> Figures {
         auc: Some(estimate(skill + 0.031, 3_570)),
         recall_at_full_precision: Some(proportion(known / 3, 3_570)),
         false_accepts: Some(proportion(17 * index, 1_204)),
+        unjudged_answers: Some(7 * index),
         auroc: Some(estimate(skill + 0.042, 4_774)),
         expected_calibration_error: Some(estimate(0.0123 * (index + 1) as f64, 4_774)),
         purity: founds_places.then(|| proportion(3_401, 3_584)),
@@ -218,7 +226,7 @@ fn confusion(true_places: u32, seed: u32) -> Confusion {
     let mut cells: Vec<(u32, u32, u64)> =
         (0..true_places).map(|place| (place, place, u64::from(3 + place * 7 % 11))).collect();
     cells.extend((0..true_places).step_by(5).map(|place| (place, (place * 31 + seed) % true_places, 1)));
-    Confusion { true_places, cells }
+    Confusion { true_places, cells, of_unknown: 12 }
 }
 
 fn pairs() -> Vec<ImagePair> {
