@@ -17,7 +17,11 @@ pub fn misalignment(search: &Search<'_>, answers: &[Answer]) -> Option<String> {
         let (mut n, mut right) = (0, 0);
         for (query, answer) in answers.iter().enumerate().filter(|(_, answer)| answer.is_given) {
             let Some(best) = answer.candidates.first() else { continue };
-            match search.truth.relation_shifted(query, best.reference, frames) {
+            let shifted = i64::try_from(best.reference).ok().and_then(|frame| frame.checked_add(frames));
+            let shifted = shifted.and_then(|frame| usize::try_from(frame).ok());
+            // What comes too late to be found would agree with itself.
+            let Some(shifted) = shifted.filter(|&frame| frame < search.horizon(query)) else { continue };
+            match search.truth.relation(query, shifted) {
                 Relation::Same => (n, right) = (n + 1, right + 1),
                 Relation::Different => n += 1,
                 Relation::Unsaid => {}
@@ -48,7 +52,8 @@ mod tests {
     use crate::evaluation::ground_truth::{GroundTruth, Rule};
 
     fn truth(offset: u32) -> GroundTruth {
-        let rule = Rule::Pairs((0..60).map(|query| vec![query + offset]).collect());
+        let matches = (0..60).map(|query| Some(vec![query + offset])).collect();
+        let rule = Rule::Pairs { matches, unsaid: Vec::new() };
         GroundTruth { definition: String::new(), sha256: None, rule }
     }
 
@@ -65,7 +70,7 @@ mod tests {
     fn a_ground_truth_that_is_off_by_one_is_noticed_and_a_right_one_is_not() {
         let warning = |offset| {
             let truth = truth(offset);
-            misalignment(&Search { truth: &truth, reference_frames: 70, recent: None }, &answers())
+            misalignment(&Search { truth: &truth, horizons: &[70; 60] }, &answers())
         };
         assert_eq!(warning(0), None);
         let off_by_one = warning(1).expect("off by one");

@@ -14,6 +14,24 @@ pub struct Answer {
     pub is_given: bool,
 }
 
+impl Answer {
+    /// The answer over what was found: `chosen` first if something was accepted, then the likeliest, each
+    /// place of a map and each frame once. What was found first goes before what is equally likely.
+    pub(super) fn new(chosen: Option<Candidate>, mut found: Vec<Candidate>) -> Self {
+        let is_given = chosen.is_some();
+        found.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        let mut candidates: Vec<Candidate> = Vec::with_capacity(MAX_CANDIDATES);
+        for candidate in chosen.into_iter().chain(found) {
+            if candidates.len() < MAX_CANDIDATES
+                && !candidates.iter().any(|known| known.is_one_with(&candidate))
+            {
+                candidates.push(candidate);
+            }
+        }
+        Self { candidates, is_given }
+    }
+}
+
 /// A reference frame that may show the same place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
@@ -28,6 +46,13 @@ pub struct Candidate {
 }
 
 impl Candidate {
+    fn is_one_with(&self, other: &Self) -> bool {
+        match (self.place, other.place) {
+            (Some(place), Some(other)) => place == other,
+            _ => self.reference == other.reference,
+        }
+    }
+
     /// Why a candidate with such evidence is accepted, or not.
     pub(super) fn reason(by: Evidence, got: f64, needed: f64) -> String {
         let relation = if got >= needed { "≥" } else { "<" };
@@ -35,5 +60,43 @@ impl Candidate {
             Evidence::Cnn => format!("cosine {got:.3} {relation} {needed:.3}"),
             _ => format!("{got:.0} effective inliers {relation} {needed:.0}"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn candidate(reference: usize, place: Option<usize>, probability: f64) -> Candidate {
+        Candidate { reference, place, probability, reason: String::new() }
+    }
+
+    fn order(answer: &Answer) -> Vec<usize> {
+        answer.candidates.iter().map(|candidate| candidate.reference).collect()
+    }
+
+    #[test]
+    fn what_was_accepted_comes_before_what_is_likelier() {
+        let found = vec![candidate(1, None, 0.2), candidate(3, None, 0.99), candidate(2, None, 0.7)];
+        let answer = Answer::new(Some(candidate(2, None, 0.7)), found);
+        assert_eq!((order(&answer), answer.is_given), (vec![2, 3, 1], true));
+    }
+
+    #[test]
+    fn where_nothing_is_accepted_the_likeliest_comes_first_and_every_place_once() {
+        let found = vec![
+            candidate(1, Some(7), 0.2),
+            candidate(4, Some(8), 0.3),
+            candidate(5, Some(7), 0.4),
+            candidate(6, Some(9), 0.3),
+        ];
+        let answer = Answer::new(None, found);
+        assert_eq!((order(&answer), answer.is_given), (vec![5, 4, 6], false));
+    }
+
+    #[test]
+    fn an_answer_lists_only_so_many() {
+        let found = (0..40).map(|frame| candidate(frame, None, 0.5)).collect();
+        assert_eq!(order(&Answer::new(None, found)), (0..MAX_CANDIDATES).collect::<Vec<_>>());
     }
 }

@@ -1,22 +1,20 @@
 //! One experiment: look at the frames once, let every method answer from every database, and count.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::EvaluationError;
 use super::alignment::misalignment;
-use super::answer::Answer;
 use super::frames::FrameDatabase;
-use super::ground_truth::{GroundTruth, Relation};
-use super::judgement::{Judged, Search, judge_strangers};
+use super::judgement::{Search, horizons_of_past};
 use super::machine;
 use super::map::Robot;
 use super::metrics::{self, Proportion};
 use super::paper;
-use super::results::{
-    Baseline, Confusion, Database, Experiment, GroundTruthSummary, Method, MethodResult, StageLatency,
-};
-use super::score::{confusion, score};
+use super::results::{Baseline, Database, Experiment, Method, MethodResult, StageLatency};
+use super::scene::{Answers, Scene};
+use super::score::score;
 use super::traverse::{Eyes, Traverse, TraversePlan};
 use super::truth_plan::TruthPlan;
 use super::worst;
@@ -38,8 +36,11 @@ pub struct ExperimentPlan {
     pub databases: Vec<Database>,
     /// Whether the paper's protocol is followed as well.
     pub paper: bool,
-    /// How many frames back the past begins, where a sequence is compared with its own past.
-    pub recent: usize,
+    /// How many frames back the past begins, where a sequence is compared with its own past; counted before
+    /// sampling.
+    pub recent_frames: u64,
+    /// What else was asked for and bears on the figures, by name.
+    pub options: BTreeMap<String, String>,
     /// What others reach on the same data.
     pub baselines: Vec<Baseline>,
 }
@@ -57,6 +58,33 @@ pub struct PlannedFrames {
     pub truth: TruthPlan,
 }
 
+impl ExperimentPlan {
+    /// Whether nothing can be found out without a CNN.
+    #[must_use]
+    pub fn needs_cnn(&self) -> bool {
+        self.paper || !self.methods.contains(&Method::BowHv)
+    }
+
+    /// Every setting of this experiment alone, by name.
+    fn settings(&self) -> BTreeMap<String, String> {
+        let mut settings = self.options.clone();
+        if self.frames.reference.is_none() {
+            settings.insert("recent_frames".to_owned(), self.recent_frames.to_string());
+        }
+        if self.paper {
+            settings.extend(paper::settings());
+        }
+        settings
+    }
+}
+
+impl PlannedFrames {
+    /// All traverses.
+    pub fn traverses(&self) -> impl Iterator<Item = &TraversePlan> {
+        [Some(&self.query), self.reference.as_ref(), self.unknown.as_ref()].into_iter().flatten()
+    }
+}
+
 /// Runs experiments, one after the other.
 pub struct Evaluator<'a> {
     eyes: Eyes,
@@ -66,31 +94,6 @@ pub struct Evaluator<'a> {
     watcher: &'a dyn Watcher,
     /// Traverses that were looked at, by where their frames come from.
     seen: Vec<(String, Arc<Traverse>)>,
-}
-
-/// The frames of an experiment, looked at.
-pub(super) struct Scene<'a> {
-    pub(super) reference: &'a Traverse,
-    pub(super) query: &'a Traverse,
-    pub(super) unknown: Option<&'a Traverse>,
-    pub(super) truth: &'a GroundTruth,
-    pub(super) search: Search<'a>,
-    /// Whether the reference shows the place of each query frame.
-    pub(super) known: Vec<bool>,
-    /// The true place of each reference frame, where the ground truth knows places.
-    labels: Vec<Option<u32>>,
-}
-
-/// What one method answered from one database.
-pub(super) struct Answers {
-    pub(super) method: Method,
-    pub(super) database: Database,
-    pub(super) query: Vec<Answer>,
-    unknown: Vec<Answer>,
-    /// The reference frames of each place that was founded, where a map was searched.
-    places: Vec<Vec<usize>>,
-    /// Time of retrieval and of verification and decision, where a map was searched.
-    latency_us: Vec<(u64, u64)>,
 }
 
 impl<'a> Evaluator<'a> {
@@ -112,49 +115,59 @@ impl<'a> Evaluator<'a> {
         &self.eyes
     }
 
-    /// Runs one experiment.
+    /// Runs one experiment. What was seen is kept if one of `later` looks at it again.
     ///
     /// # Errors
     /// If frames cannot be read, the ground truth does not fit them, or it was interrupted.
-    pub fn run(&mut self, plan: &ExperimentPlan) -> Result<Experiment, EvaluationError> {
+    pub fn run(
+        &mut self,
+        plan: &ExperimentPlan,
+        later: &[ExperimentPlan],
+    ) -> Result<Experiment, EvaluationError> {
         machine::forget_peak_memory();
-        let query = self.look_at(&plan.frames.query)?;
-        let reference = plan.frames.reference.as_ref().map(|plan| self.look_at(plan)).transpose()?;
-        let unknown = plan.frames.unknown.as_ref().map(|plan| self.look_at(plan)).transpose()?;
+        let frames = &plan.frames;
+        let query = self.look_at(&frames.query)?;
+        let reference = frames.reference.as_ref().map(|plan| self.look_at(plan)).transpose()?;
+        let unknown = frames.unknown.as_ref().map(|plan| self.look_at(plan)).transpose()?;
+        self.forget_all_but(later);
         let searched = reference.as_ref().unwrap_or(&query);
-        let truth = plan.frames.truth.complete(&query, searched)?;
-        let recent = reference.is_none().then_some(plan.recent);
-        let search = Search { truth: &truth, reference_frames: searched.len(), recent };
-        let scene = Scene {
-            reference: searched,
-            query: &query,
-            unknown: unknown.as_deref(),
-            truth: &truth,
-            search,
-            known: (0..query.len()).map(|query| truth.is_scored(query) && search.is_known(query)).collect(),
-            labels: metrics::true_places(searched.len(), |a, b| truth.are_one_place(a, b)),
+        let truth = frames.truth.complete(&query, searched)?;
+        let horizons = match &reference {
+            Some(reference) => vec![reference.len(); query.len()],
+            None => horizons_of_past(&query.numbers(), plan.recent_frames),
         };
+        let search = Search { truth: &truth, horizons: &horizons };
+        let scene = Scene::new((searched, &query, unknown.as_deref()), search);
         let all = self.answers(&scene, plan)?;
-        let paper = if plan.paper { Some(paper::protocol(&scene, &self.eyes, &self.options)?) } else { None };
+        let protocol = || paper::protocol(&scene, &self.eyes, &self.options, self.stop);
         Ok(Experiment {
             name: plan.name.clone(),
             note: plan.note.clone(),
             reference: reference.as_ref().map(|traverse| traverse.summary()),
             query: query.summary(),
             unknown: unknown.as_ref().map(|traverse| traverse.summary()),
-            ground_truth: summary(&scene),
-            settings: std::collections::BTreeMap::new(),
+            ground_truth: scene.summary(),
+            settings: plan.settings(),
             warnings: warnings(&scene, &all, self.eyes.model.is_some()),
             results: all.iter().map(|answers| self.result(&scene, answers)).collect(),
-            paper,
+            paper: plan.paper.then(protocol).transpose()?,
             baselines: plan.baselines.clone(),
-            latency: latency(&query, &all),
+            latency: latency(&query, &all, self.eyes.model.is_some()),
             peak_memory_bytes: machine::peak_memory_bytes(),
         })
     }
 
+    /// Drops the traverses that no later experiment looks at.
+    fn forget_all_but(&mut self, later: &[ExperimentPlan]) {
+        let is_needed = |key: &String| {
+            let traverses = later.iter().flat_map(|plan| plan.frames.traverses());
+            traverses.into_iter().any(|plan| seen_key(plan) == *key)
+        };
+        self.seen.retain(|(key, _)| is_needed(key));
+    }
+
     fn look_at(&mut self, plan: &TraversePlan) -> Result<Arc<Traverse>, EvaluationError> {
-        let key = format!("{:?} {}", plan.frames, plan.sample_interval);
+        let key = seen_key(plan);
         if let Some((_, traverse)) = self.seen.iter().find(|(known, _)| *known == key) {
             return Ok(Arc::clone(traverse));
         }
@@ -173,9 +186,9 @@ impl<'a> Evaluator<'a> {
             match database {
                 Database::Frames => all.extend(self.answers_of_frames(scene, &methods)?),
                 Database::Map => {
+                    let is_own_past = plan.frames.reference.is_none();
                     for &method in &methods {
-                        self.go_on()?;
-                        all.push(self.answers_of_map(scene, method)?);
+                        all.push(self.answers_of_map(scene, (method, is_own_past))?);
                     }
                 }
             }
@@ -216,14 +229,18 @@ impl<'a> Evaluator<'a> {
         Ok(all)
     }
 
-    fn answers_of_map(&self, scene: &Scene<'_>, method: Method) -> Result<Answers, EvaluationError> {
+    fn answers_of_map(
+        &self,
+        scene: &Scene<'_>,
+        (method, is_own_past): (Method, bool),
+    ) -> Result<Answers, EvaluationError> {
         let mut robot = Robot::new(method, &self.eyes, &self.options)?;
-        let learnt = robot.walk(scene.reference)?;
+        let learnt = robot.walk(scene.reference, self.stop)?;
         let places = robot.places();
         let mut robot = robot.reading_only();
-        let run = if scene.search.recent.is_some() { learnt } else { robot.walk(scene.query)? };
+        let run = if is_own_past { learnt } else { robot.walk(scene.query, self.stop)? };
         let unknown = match scene.unknown {
-            Some(traverse) => robot.walk(traverse)?.answers,
+            Some(traverse) => robot.walk(traverse, self.stop)?.answers,
             None => Vec::new(),
         };
         let (query, latency_us) = (run.answers, run.latency_us);
@@ -231,68 +248,31 @@ impl<'a> Evaluator<'a> {
     }
 
     fn result(&self, scene: &Scene<'_>, answers: &Answers) -> MethodResult {
-        let judged = judged(scene, answers);
+        let judged = scene.judged(answers);
         let mut score = score(&judged);
         if answers.database == Database::Map {
             let one_place = |a: usize, b: usize| scene.truth.are_one_place(a, b);
             score.figures.purity = metrics::purity(&answers.places, one_place);
             score.figures.places_founded = Some(answers.places.len() as u64);
-            score.figures.true_places = true_places(scene);
+            score.figures.true_places = scene.true_places();
         }
+        let mistakes = || worst::mistakes(scene, answers, &judged, &self.options.verification);
         MethodResult {
             method: answers.method,
             database: answers.database,
             figures: score.figures,
             precision_recall: score.precision_recall,
             calibration: score.calibration,
-            answers: Vec::new(),
-            confusion: confused_places(scene, answers, &judged),
-            worst: if self.keeps_pictures {
-                worst::mistakes(scene, answers, &judged, &self.options)
-            } else {
-                Vec::new()
-            },
+            confusion: scene.confusion(answers, &judged),
+            worst: if self.keeps_pictures { mistakes() } else { Vec::new() },
+            answers: scene.records(answers, &judged),
         }
     }
 }
 
-fn judged(scene: &Scene<'_>, answers: &Answers) -> Vec<Judged> {
-    let mut judged = scene.search.judge(&answers.query, &scene.known, &answers.places);
-    judged.extend(judge_strangers(&answers.unknown));
-    judged
-}
-
-fn true_places(scene: &Scene<'_>) -> Option<u64> {
-    scene.labels.iter().flatten().max().map(|&last| u64::from(last) + 1)
-}
-
-/// Which true place was taken for which, over the answers to known frames.
-fn confused_places(scene: &Scene<'_>, answers: &Answers, judged: &[Judged]) -> Option<Confusion> {
-    let places = true_places(scene)?;
-    let answered = judged.iter().filter(|judged| judged.is_given && judged.best != Relation::Unsaid);
-    let cells = answered.filter_map(|judged| {
-        let query = judged.query?;
-        let truth = scene.labels[scene.search.matches(query).next()?]?;
-        // A right answer stays on the diagonal, though the place reaches across a border between labels.
-        let named = match judged.best {
-            Relation::Same => truth,
-            _ => scene.labels[answers.query[query].candidates.first()?.reference]?,
-        };
-        Some((truth, named))
-    });
-    Some(confusion(u32::try_from(places).ok()?, cells))
-}
-
-fn summary(scene: &Scene<'_>) -> GroundTruthSummary {
-    let scored = (0..scene.query.len()).filter(|&query| scene.truth.is_scored(query)).count() as u64;
-    let known = scene.known.iter().filter(|&&known| known).count() as u64;
-    GroundTruthSummary {
-        definition: scene.truth.definition.clone(),
-        sha256: scene.truth.sha256.clone(),
-        known,
-        unknown: scored - known,
-        unscored: scene.query.len() as u64 - scored,
-    }
+/// Where the frames of a traverse come from, in a word.
+fn seen_key(plan: &TraversePlan) -> String {
+    format!("{:?} {}", plan.frames, plan.sample_interval)
 }
 
 fn warnings(scene: &Scene<'_>, all: &[Answers], has_cnn: bool) -> Vec<String> {
@@ -301,27 +281,29 @@ fn warnings(scene: &Scene<'_>, all: &[Answers], has_cnn: bool) -> Vec<String> {
         warnings.push("no CNN ran: only bow_hv is reported".to_owned());
     }
     let mut traverses = vec![scene.query];
-    traverses.extend(scene.search.recent.is_none().then_some(scene.reference));
+    traverses.extend(Some(scene.reference).filter(|&reference| !std::ptr::eq(reference, scene.query)));
     traverses.extend(scene.unknown);
     for traverse in traverses.into_iter().filter(|traverse| traverse.skipped > 0) {
         let Traverse { name, skipped, .. } = traverse;
         warnings.push(format!("{skipped} frames of {name} could not be read and are in no figure"));
     }
-    let frames = all.iter().find(|answers| answers.database == Database::Frames);
-    warnings.extend(frames.and_then(|answers| misalignment(&scene.search, &answers.query)));
+    let finest = all.iter().min_by_key(|answers| answers.database);
+    warnings.extend(finest.and_then(|answers| misalignment(&scene.search, &answers.query)));
     warnings
 }
 
 /// Time of each stage over the query frames; the last stages as the most complete method took them.
-fn latency(query: &Traverse, all: &[Answers]) -> Vec<StageLatency> {
+fn latency(query: &Traverse, all: &[Answers], has_cnn: bool) -> Vec<StageLatency> {
     let seen = |of: fn(&crate::pipeline::PerceptionLatency) -> u64| -> Vec<u64> {
         query.observations.iter().map(|observation| of(&observation.latency)).collect()
     };
     let mut stages = vec![
         ("decode", seen(|latency| latency.decode_us)),
         ("features", seen(|latency| latency.features_us)),
-        ("cnn", seen(|latency| latency.cnn_us)),
     ];
+    if has_cnn {
+        stages.push(("cnn", seen(|latency| latency.cnn_us)));
+    }
     let complete = all.iter().filter(|answers| !answers.latency_us.is_empty()).max_by_key(|a| a.method);
     if let Some(answers) = complete {
         let decided = &answers.latency_us;

@@ -1,8 +1,8 @@
 //! The field's database: every reference frame can be found.
 //!
 //! The CNN ranks all of them by cosine; BoW+HV ranks those that share the most words by their effective
-//! inliers; together they follow the order of `loci run`: what the CNN accepts, else what geometry
-//! accepts, else whatever is likeliest.
+//! inliers; together they decide as `loci run` does: what the CNN accepts, else what geometry accepts,
+//! else nothing, and the likeliest of both comes first.
 
 use super::answer::{Answer, Candidate, MAX_CANDIDATES};
 use super::results::Method;
@@ -10,8 +10,8 @@ use super::traverse::{Observation, Traverse};
 use crate::cnn::ModelCard;
 use crate::recognition::{Evidence, RecognitionOptions, inlier_probability};
 use crate::retrieval::{BowVector, InvertedIndex};
-use crate::verification::{MatchingView, Verification, verify};
-use crate::vocabulary::{Quantised, Vocabulary};
+use crate::verification::{MatchingView, Verification, VerificationOptions, verify};
+use crate::vocabulary::Vocabulary;
 
 /// All frames of a traverse, ready to be searched.
 pub struct FrameDatabase<'a> {
@@ -20,12 +20,15 @@ pub struct FrameDatabase<'a> {
     model: Option<&'a ModelCard>,
     options: &'a RecognitionOptions,
     index: InvertedIndex,
-    groups: Vec<Vec<u32>>,
 }
 
-/// The group of each feature: the vocabulary node within which features are compared.
-pub(super) fn groups(quantised: &[Quantised]) -> Vec<u32> {
-    quantised.iter().map(|quantised| quantised.node.0).collect()
+/// The geometry between a query frame and a reference frame.
+#[must_use]
+pub fn geometry(query: &Observation, reference: &Observation, options: &VerificationOptions) -> Verification {
+    fn view(seen: &Observation) -> MatchingView<'_> {
+        MatchingView { features: &seen.look.features, groups: &seen.groups }
+    }
+    verify(view(query), view(reference), options)
 }
 
 impl<'a> FrameDatabase<'a> {
@@ -41,8 +44,7 @@ impl<'a> FrameDatabase<'a> {
         for observation in &reference.observations {
             index.add(&bow(observation, vocabulary));
         }
-        let groups = reference.observations.iter().map(|seen| groups(&seen.look.quantised)).collect();
-        Self { reference, vocabulary, model, options, index, groups }
+        Self { reference, vocabulary, model, options, index }
     }
 
     /// What each of `methods` finds for `query` among the first `horizon` reference frames.
@@ -80,8 +82,8 @@ impl<'a> FrameDatabase<'a> {
             probability: f64::from(model.probability(cosine)),
             reason: Candidate::reason(Evidence::Cnn, f64::from(cosine), f64::from(needed)),
         };
-        let is_given = found.first().is_some_and(|best| best.0 >= needed);
-        Answer { candidates: found.iter().map(candidate).collect(), is_given }
+        let chosen = found.first().filter(|best| best.0 >= needed).map(candidate);
+        Answer::new(chosen, found.iter().map(candidate).collect())
     }
 
     fn by_bow_hv(&mut self, query: &Observation, horizon: usize) -> Answer {
@@ -91,7 +93,9 @@ impl<'a> FrameDatabase<'a> {
             .iter()
             .map(|retrieved| {
                 let reference = retrieved.document.0 as usize;
-                (self.verify(query, reference).effective_inliers, retrieved.score, reference)
+                let known = &self.reference.observations[reference];
+                let verification = geometry(query, known, &self.options.verification);
+                (verification.effective_inliers, retrieved.score, reference)
             })
             .collect();
         found.sort_by(|a, b| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
@@ -103,18 +107,8 @@ impl<'a> FrameDatabase<'a> {
             probability: f64::from(inlier_probability(inliers)),
             reason: Candidate::reason(Evidence::BowHv, f64::from(inliers), f64::from(needed)),
         };
-        let is_given = found.first().is_some_and(|best| best.0 >= needed);
-        Answer { candidates: found.iter().map(candidate).collect(), is_given }
-    }
-
-    /// The geometry between a query frame and a reference frame.
-    #[must_use]
-    pub fn verify(&self, query: &Observation, reference: usize) -> Verification {
-        let query_groups = groups(&query.look.quantised);
-        let query = MatchingView { features: &query.look.features, groups: &query_groups };
-        let known = &self.reference.observations[reference].look.features;
-        let known = MatchingView { features: known, groups: &self.groups[reference] };
-        verify(query, known, &self.options.verification)
+        let chosen = found.first().filter(|best| best.0 >= needed).map(candidate);
+        Answer::new(chosen, found.iter().map(candidate).collect())
     }
 }
 
@@ -124,20 +118,9 @@ fn bow(observation: &Observation, vocabulary: &Vocabulary) -> BowVector {
 
 /// What the CNN accepts; else what geometry accepts; else the likeliest of both.
 fn together(cnn: &Answer, bow_hv: &Answer) -> Answer {
-    let (first, second) = if bow_hv.is_given && !cnn.is_given { (bow_hv, cnn) } else { (cnn, bow_hv) };
-    let mut candidates = first.candidates.clone();
-    candidates.extend(second.candidates.iter().cloned());
-    if !first.is_given {
-        candidates.sort_by(|a, b| b.probability.total_cmp(&a.probability));
-    }
-    let mut known = Vec::new();
-    candidates.retain(|candidate| {
-        let is_new = !known.contains(&candidate.reference);
-        known.push(candidate.reference);
-        is_new
-    });
-    candidates.truncate(MAX_CANDIDATES);
-    Answer { candidates, is_given: first.is_given }
+    let chosen = [cnn, bow_hv].into_iter().find(|answer| answer.is_given);
+    let chosen = chosen.and_then(|answer| answer.candidates.first().cloned());
+    Answer::new(chosen, cnn.candidates.iter().chain(&bow_hv.candidates).cloned().collect())
 }
 
 #[cfg(test)]
@@ -161,7 +144,7 @@ mod tests {
     #[test]
     fn what_the_cnn_accepts_comes_before_what_geometry_finds_likelier() {
         let both = together(&answer(&[(1, 0.9), (2, 0.3)], true), &answer(&[(3, 0.99), (2, 0.2)], true));
-        assert_eq!((order(&both), both.is_given), (vec![1, 2, 3], true));
+        assert_eq!((order(&both), both.is_given), (vec![1, 3, 2], true));
     }
 
     #[test]

@@ -3,11 +3,20 @@
 use super::answer::{Answer, Candidate};
 use super::ground_truth::{GroundTruth, Relation};
 
-/// A query frame whose answer was judged.
+/// A frame that was asked about, counted from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Asked {
+    /// Of the query traverse.
+    Query(usize),
+    /// Of the traverse of places that the reference does not show.
+    Stranger(usize),
+}
+
+/// A frame whose answer was judged.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Judged {
-    /// The query frame, counted from 0; `None` for frames of unknown places.
-    pub query: Option<usize>,
+    /// Which frame was asked about.
+    pub asked: Asked,
     /// Whether the reference shows its place.
     pub is_known: bool,
     /// Whether an answer was given.
@@ -27,20 +36,25 @@ pub struct Judged {
 pub struct Search<'a> {
     /// The ground truth.
     pub truth: &'a GroundTruth,
-    /// Number of reference frames.
-    pub reference_frames: usize,
-    /// How many frames back the past begins, where a sequence is compared with its own past.
-    pub recent: Option<usize>,
+    /// The first reference frame that may not be found, for each query frame.
+    pub horizons: &'a [usize],
+}
+
+/// The horizon of every frame of a sequence that is compared with its own past: the first frame that lies
+/// fewer than `recent` before it, by frame `numbers`, which ascend.
+#[must_use]
+pub fn horizons_of_past(numbers: &[u64], recent: u64) -> Vec<usize> {
+    let horizon = |(query, &number): (usize, &u64)| {
+        numbers.partition_point(|&past| past.saturating_add(recent) <= number).min(query)
+    };
+    numbers.iter().enumerate().map(horizon).collect()
 }
 
 impl Search<'_> {
     /// The first reference frame that may not be found for `query`.
     #[must_use]
     pub fn horizon(&self, query: usize) -> usize {
-        match self.recent {
-            None => self.reference_frames,
-            Some(recent) => (query + 1).saturating_sub(recent).min(query),
-        }
+        self.horizons.get(query).copied().unwrap_or_default()
     }
 
     /// The reference frames that truly show the place of `query`.
@@ -56,8 +70,8 @@ impl Search<'_> {
     }
 
     /// What the ground truth says of a candidate: of its frame, or of any frame of its place in the map
-    /// that lies in the past. Of a place that was only seen just now it says nothing: the robot never
-    /// left it.
+    /// that lies in the past. Of a place that was only seen just now, or that is right just now and was
+    /// somewhere else before, it says nothing: the robot never left it.
     #[must_use]
     pub fn relation(&self, query: usize, candidate: &Candidate, places: &[Vec<usize>]) -> Relation {
         let horizon = self.horizon(query);
@@ -73,7 +87,9 @@ impl Search<'_> {
                 Relation::Unsaid => {}
             }
         }
-        relation
+        let is_right_just_now = candidate.reference >= horizon
+            && self.truth.relation_just_now(query, candidate.reference) != Relation::Different;
+        if is_right_just_now { Relation::Unsaid } else { relation }
     }
 
     /// What the ground truth says of a candidate's own frame.
@@ -94,7 +110,7 @@ impl Search<'_> {
                 answer.candidates.iter().map(|candidate| self.relation(query, candidate, places)).collect();
             let best = answer.candidates.first();
             Judged {
-                query: Some(query),
+                asked: Asked::Query(query),
                 is_known: known[query],
                 is_given: answer.is_given,
                 probability: best.map_or(0.0, |best| best.probability),
@@ -110,8 +126,8 @@ impl Search<'_> {
 /// Judges answers about frames of places that the reference does not show.
 #[must_use]
 pub fn judge_strangers(answers: &[Answer]) -> Vec<Judged> {
-    let judged = |answer: &Answer| Judged {
-        query: None,
+    let judged = |(stranger, answer): (usize, &Answer)| Judged {
+        asked: Asked::Stranger(stranger),
         is_known: false,
         is_given: answer.is_given,
         probability: answer.candidates.first().map_or(0.0, |best| best.probability),
@@ -119,7 +135,7 @@ pub fn judge_strangers(answers: &[Answer]) -> Vec<Judged> {
         best_keyframe: Relation::Different,
         rank: None,
     };
-    answers.iter().map(judged).collect()
+    answers.iter().enumerate().map(judged).collect()
 }
 
 #[cfg(test)]
@@ -146,22 +162,33 @@ mod tests {
         Answer { candidates, is_given: true }
     }
 
+    fn past(recent: u64) -> Vec<usize> {
+        horizons_of_past(&(0..20).collect::<Vec<_>>(), recent)
+    }
+
     #[test]
     fn the_past_ends_as_many_frames_back_as_was_asked() {
+        assert_eq!(past(3)[10], 8, "frames 0 to 7 are 3 or more back");
+        assert_eq!(past(3)[2], 0);
+        assert_eq!(past(0)[5], 5, "never the frame itself");
         let truth = two_laps();
-        let search = |recent| Search { truth: &truth, reference_frames: 20, recent };
-        assert_eq!(search(Some(3)).horizon(10), 8, "frames 0 to 7 are 3 or more back");
-        assert_eq!(search(Some(3)).horizon(2), 0);
-        assert_eq!(search(Some(0)).horizon(5), 5, "never the frame itself");
-        assert_eq!(search(None).horizon(2), 20);
-        assert!(search(Some(10)).is_known(10) && !search(Some(11)).is_known(10), "off by one");
-        assert!(!search(Some(10)).is_known(9));
+        let (just, too_far) = (past(10), past(11));
+        let search = |horizons| Search { truth: &truth, horizons };
+        assert!(search(&just).is_known(10) && !search(&too_far).is_known(10), "off by one");
+        assert!(!search(&just).is_known(9));
+    }
+
+    #[test]
+    fn the_past_is_counted_in_frames_of_the_sequence_however_few_were_looked_at() {
+        assert_eq!(horizons_of_past(&[0, 5, 10, 15, 30], 10), [0, 0, 1, 2, 4]);
+        assert_eq!(horizons_of_past(&[0, 5], u64::MAX), [0, 0]);
     }
 
     #[test]
     fn an_answer_is_right_by_its_frame_and_one_beside_it_is_wrong() {
         let truth = two_laps();
-        let search = Search { truth: &truth, reference_frames: 20, recent: Some(5) };
+        let horizons = past(5);
+        let search = Search { truth: &truth, horizons: &horizons };
         let mut answers = vec![Answer::default(); 20];
         answers[13] = answer(vec![candidate(3, None)]);
         answers[14] = answer(vec![candidate(3, None), candidate(4, None)]);
@@ -175,12 +202,16 @@ mod tests {
     #[test]
     fn a_place_is_right_if_any_of_its_past_frames_is_and_unsaid_if_it_has_none() {
         let truth = two_laps();
-        let search = Search { truth: &truth, reference_frames: 20, recent: Some(5) };
-        let places = [vec![2, 3, 12], vec![5, 6], vec![11, 12]];
+        let horizons = past(5);
+        let search = Search { truth: &truth, horizons: &horizons };
+        let places = [vec![2, 3, 12], vec![5, 6], vec![11, 12], vec![6, 12, 13]];
         let relation = |query, place| search.relation(query, &candidate(0, Some(place)), &places);
         assert_eq!(relation(13, 0), Relation::Same);
         assert_eq!(relation(13, 1), Relation::Different);
         assert_eq!(relation(13, 2), Relation::Unsaid, "seen a moment ago, never left");
+        let matched = |reference| search.relation(13, &candidate(reference, Some(3)), &places);
+        assert_eq!(matched(13), Relation::Unsaid, "right just now, somewhere else before");
+        assert_eq!(matched(12), Relation::Different, "wrong now as before");
     }
 
     #[test]

@@ -5,10 +5,11 @@
 //! no BoW+HV, without a model there is no CNN.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use super::EvaluationError;
-use super::answer::{Answer, Candidate, MAX_CANDIDATES};
+use super::answer::{Answer, Candidate};
 use super::results::Method;
 use super::traverse::{Eyes, Observation, Traverse};
 use crate::place_map::PlaceMap;
@@ -60,13 +61,16 @@ impl<'a> Robot<'a> {
         places.map(|place| place.experiences.iter().map(|id| id.0 as usize).collect()).collect()
     }
 
-    /// Answers along `traverse`.
+    /// Answers along `traverse`, unless `stop` is set meanwhile.
     ///
     /// # Errors
-    /// If the map cannot grow.
-    pub fn walk(&mut self, traverse: &Traverse) -> Result<MapRun, EvaluationError> {
+    /// If the map cannot grow, or it was interrupted.
+    pub fn walk(&mut self, traverse: &Traverse, stop: &AtomicBool) -> Result<MapRun, EvaluationError> {
         let mut run = MapRun { answers: Vec::new(), latency_us: Vec::new() };
         for (index, observation) in traverse.observations.iter().enumerate() {
+            if stop.load(Ordering::Relaxed) {
+                return Err(EvaluationError::Interrupted);
+            }
             let look = self.look(observation);
             let frame = observation.frame(index);
             let started = Instant::now();
@@ -92,34 +96,15 @@ impl<'a> Robot<'a> {
     }
 
     fn answer(&self, recognition: &Recognition) -> Answer {
+        let candidate = |candidate: &recognition::Candidate| Candidate {
+            reference: candidate.keyframe.0 as usize,
+            place: Some(candidate.place.0 as usize),
+            probability: f64::from(self.recogniser.probability(candidate)),
+            reason: reason(candidate),
+        };
         let is_given = matches!(recognition.decision, Decision::Recognised | Decision::Revisited);
-        let confidence = f64::from(recognition.confidence);
-        // What was decided to be no match is a match with the remaining probability.
-        let best = if is_given { confidence } else { 1.0 - confidence };
-        let mut order: Vec<&recognition::Candidate> = recognition.candidates.iter().collect();
-        if !is_given {
-            order.sort_by(|a, b| self.likelihood(b).total_cmp(&self.likelihood(a)));
-        }
-        let mut candidates: Vec<Candidate> = Vec::new();
-        for candidate in order {
-            let place = candidate.place.0 as usize;
-            if candidates.iter().any(|known| known.place == Some(place)) {
-                continue;
-            }
-            let likelihood = f64::from(self.likelihood(candidate));
-            candidates.push(Candidate {
-                reference: candidate.keyframe.0 as usize,
-                place: Some(place),
-                probability: if candidates.is_empty() { best } else { likelihood.min(best) },
-                reason: reason(candidate),
-            });
-        }
-        candidates.truncate(MAX_CANDIDATES);
-        Answer { candidates, is_given }
-    }
-
-    fn likelihood(&self, candidate: &recognition::Candidate) -> f32 {
-        self.recogniser.probability(candidate)
+        let chosen = recognition.candidates.iter().find(|candidate| is_given && candidate.rejected.is_none());
+        Answer::new(chosen.map(candidate), recognition.candidates.iter().map(candidate).collect())
     }
 }
 

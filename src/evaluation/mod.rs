@@ -18,9 +18,11 @@ pub mod layout;
 pub mod machine;
 pub mod map;
 pub mod metrics;
+mod overlap;
 mod paper;
 pub mod report;
 pub mod results;
+mod scene;
 pub mod score;
 mod spec;
 mod traverse;
@@ -30,7 +32,7 @@ mod worst;
 pub use experiment::{Evaluator, ExperimentPlan, PlannedFrames};
 pub use spec::{ExperimentSpec, FramesSpec, Suite, TruthSettings};
 pub use traverse::{Eyes, Frames, Observation, Traverse, TraversePlan};
-pub use truth_plan::{TruthPlan, TruthSpec, TruthSpecError};
+pub use truth_plan::{NamedTolerance, TruthPlan, TruthSpec, TruthSpecError};
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -76,6 +78,16 @@ pub enum EvaluationError {
         path: PathBuf,
         /// What is wrong with it.
         reason: String,
+    },
+    /// An experiment of a suite cannot be planned.
+    #[error("experiment '{name}', data in {}: {error}", data.display())]
+    Experiment {
+        /// The experiment.
+        name: String,
+        /// Where its paths start from.
+        data: PathBuf,
+        /// What is wrong.
+        error: Box<EvaluationError>,
     },
     /// The paper's protocol trains on one traverse and tests on another.
     #[error("the paper's protocol trains on one traverse and rates another: name the first with --reference")]

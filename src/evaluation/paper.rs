@@ -6,11 +6,14 @@
 //! frame of the same place. There is no unknown class, so a frame of a place that is in no class is
 //! always wrong.
 
+use std::sync::atomic::AtomicBool;
+
 use super::EvaluationError;
-use super::experiment::{Scene, share_of};
+use super::experiment::share_of;
 use super::ground_truth::Relation;
 use super::map::Robot;
 use super::results::{Method, PaperProtocol, PublishedRow};
+use super::scene::Scene;
 use super::traverse::Eyes;
 use crate::cnn::Descriptor;
 use crate::recognition::RecognitionOptions;
@@ -36,20 +39,27 @@ const fn row(traverse: &'static str, cnn_percent: f64, bow_hv_percent: f64) -> P
     PublishedRow { traverse, cnn_percent, bow_hv_percent, classes: 29, training_percent: 26.2 }
 }
 
+/// What the protocol fixes, by name.
+pub(super) fn settings() -> [(String, String); 3] {
+    [
+        ("paper.place_interval".to_owned(), PLACE_INTERVAL.to_string()),
+        ("paper.min_class_frames".to_owned(), MIN_CLASS_FRAMES.to_string()),
+        ("paper.max_classes".to_owned(), MAX_CLASSES.to_string()),
+    ]
+}
+
 /// Follows the protocol.
 pub(super) fn protocol(
     scene: &Scene<'_>,
     eyes: &Eyes,
     options: &RecognitionOptions,
+    stop: &AtomicBool,
 ) -> Result<PaperProtocol, EvaluationError> {
-    if scene.search.recent.is_some() {
-        return Err(EvaluationError::PaperNeedsReference);
-    }
     let options = RecognitionOptions { place_interval: PLACE_INTERVAL, ..options.clone() };
     let mut robot = Robot::new(Method::BowHv, eyes, &options)?;
-    robot.walk(scene.reference)?;
+    robot.walk(scene.reference, stop)?;
     let clusters = robot.places();
-    let by_bow_hv = robot.reading_only().walk(scene.query)?.answers;
+    let by_bow_hv = robot.reading_only().walk(scene.query, stop)?.answers;
     let classes = classes(&clusters);
     let held: usize = classes.iter().map(|class| class.len()).sum();
     let means: Vec<Option<Descriptor>> = classes.iter().map(|class| mean(scene, class)).collect();

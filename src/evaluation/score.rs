@@ -2,7 +2,7 @@
 //! [`DEFINITIONS`](super::definitions::DEFINITIONS).
 
 use super::ground_truth::Relation;
-use super::judgement::Judged;
+use super::judgement::{Asked, Judged};
 use super::metrics::{self, Calibration, Guess, PrecisionRecall, Proportion};
 use super::results::{Confusion, Figures};
 
@@ -38,7 +38,9 @@ fn is_right(judged: &Judged) -> bool {
 #[must_use]
 pub fn score(judged: &[Judged]) -> Score {
     let known = |judged: &Judged| judged.is_known;
-    // Where nothing is said of the best candidate, it is neither right nor wrong.
+    // Where nothing is said of the best candidate, it is neither right nor wrong; not to answer is still right
+    // for an unknown frame and wrong for a known one.
+    let is_unjudged = |judged: &&Judged| judged.is_given && judged.best == Relation::Unsaid;
     let said: Vec<&Judged> = judged.iter().filter(|judged| judged.best != Relation::Unsaid).collect();
     let guesses: Vec<Guess> = said
         .iter()
@@ -48,14 +50,19 @@ pub fn score(judged: &[Judged]) -> Score {
     let known_count = judged.iter().filter(|judged| judged.is_known).count() as u64;
     let confidences: Vec<(f64, bool)> = guesses.iter().map(|guess| (guess.score, guess.is_right)).collect();
     let probabilities = |of_known: bool| -> Vec<f64> {
-        said.iter().filter(|judged| judged.is_known == of_known).map(|judged| judged.probability).collect()
+        let judged = judged.iter().filter(|judged| !is_unjudged(judged) && judged.is_known == of_known);
+        judged.map(|judged| judged.probability).collect()
     };
     let ranks: Vec<Option<usize>> =
         judged.iter().filter(|judged| judged.is_known).map(|judged| judged.rank).collect();
     // Where no frame is known no answer can be right: shares of right answers would measure nothing.
     let can_be_right = known_count > 0;
     let figures = Figures {
-        recognition_rate: share(judged, |judged| can_be_right && judged.query.is_some(), is_right),
+        recognition_rate: share(
+            judged,
+            |judged| can_be_right && matches!(judged.asked, Asked::Query(_)),
+            is_right,
+        ),
         precision: share(
             judged,
             |judged| can_be_right && judged.is_given && judged.best != Relation::Unsaid,
@@ -74,11 +81,13 @@ pub fn score(judged: &[Judged]) -> Score {
         recall_at_full_precision: metrics::recall_at_full_precision(&guesses, known_count),
         false_accepts: share(
             judged,
-            |judged| !judged.is_known && judged.best != Relation::Unsaid,
+            |judged| !judged.is_known && !is_unjudged(&judged),
             |judged| judged.is_given,
         ),
+        unjudged_answers: Some(judged.iter().filter(is_unjudged).count() as u64),
         auroc: metrics::auroc(&probabilities(true), &probabilities(false)),
-        expected_calibration_error: metrics::expected_calibration_error(&confidences),
+        expected_calibration_error: metrics::expected_calibration_error(&confidences)
+            .filter(|_| can_be_right),
         ..Figures::default()
     };
     Score {
@@ -88,19 +97,20 @@ pub fn score(judged: &[Judged]) -> Score {
     }
 }
 
-/// Which true place was taken for which, by the labels of the reference frames. `answered` has the
-/// label of a known query frame and that of the answer it was given.
+/// Which true place was taken for which. `answered` has, for every answer given, the label of the query's
+/// true place (`None` if the reference does not show it) and that of the place named.
 #[must_use]
-pub fn confusion(true_places: u32, answered: impl IntoIterator<Item = (u32, u32)>) -> Confusion {
+pub fn confusion(true_places: u32, answered: impl IntoIterator<Item = (Option<u32>, u32)>) -> Confusion {
     let mut counts = std::collections::BTreeMap::new();
-    for cell in answered {
-        *counts.entry(cell).or_insert(0) += 1;
+    let mut of_unknown = 0;
+    for (row, column) in answered {
+        match row {
+            Some(row) => *counts.entry((row, column)).or_insert(0) += 1,
+            None => of_unknown += 1,
+        }
     }
-    Confusion {
-        true_places,
-        cells: counts.into_iter().map(|((row, column), n)| (row, column, n)).collect(),
-        of_unknown: 0,
-    }
+    let cells = counts.into_iter().map(|((row, column), n)| (row, column, n)).collect();
+    Confusion { true_places, cells, of_unknown }
 }
 
 #[cfg(test)]
@@ -114,7 +124,7 @@ mod tests {
         best: Relation,
         rank: Option<usize>,
     ) -> Judged {
-        Judged { query: Some(0), is_known, is_given, probability, best, best_keyframe: best, rank }
+        Judged { asked: Asked::Query(0), is_known, is_given, probability, best, best_keyframe: best, rank }
     }
 
     /// Six frames, four of them known: two named rightly, one named wrongly, one not named; of the two
@@ -162,6 +172,19 @@ mod tests {
         assert_eq!(rate(figures.precision), (2, 4));
         assert_eq!(rate(figures.recall), (2, 5), "but the frame is known, and its place was not named");
         assert_eq!(rate(figures.recall_at_full_precision), (1, 5));
+        assert_eq!(figures.unjudged_answers, Some(1));
+    }
+
+    #[test]
+    fn an_unknown_frame_without_an_answer_was_refused_rightly_whatever_its_best_candidate() {
+        let unknown = |is_given, best| judged(false, is_given, 0.4, best, None);
+        let mut case = worked_case();
+        case.extend([unknown(false, Relation::Unsaid), unknown(true, Relation::Unsaid)]);
+        let figures = score(&case).figures;
+        assert_eq!(rate(figures.false_accepts), (1, 3), "of an answer that cannot be judged nothing is said");
+        assert_eq!(figures.unjudged_answers, Some(1));
+        // The pairs of the worked case and 0.95, 0.90, 0.92 > 0.4 > 0.30: 6 + 3 of 12.
+        assert!((figures.auroc.unwrap().value - 9.0 / 12.0).abs() < 1e-12);
     }
 
     #[test]
@@ -171,6 +194,7 @@ mod tests {
         assert_eq!(rate(figures.false_accepts), (1, 2));
         assert!(figures.recognition_rate.is_none() && figures.precision.is_none());
         assert!(figures.keyframe_precision.is_none() && figures.recall.is_none());
+        assert!(figures.expected_calibration_error.is_none());
     }
 
     #[test]
@@ -181,7 +205,7 @@ mod tests {
 
     #[test]
     fn confusions_are_counted_a_cell() {
-        let confusion = confusion(3, [(0, 0), (0, 2), (0, 0)]);
-        assert_eq!(confusion.cells, [(0, 0, 2), (0, 2, 1)]);
+        let confusion = confusion(3, [(Some(0), 0), (Some(0), 2), (None, 1), (Some(0), 0)]);
+        assert_eq!((confusion.cells, confusion.of_unknown), (vec![(0, 0, 2), (0, 2, 1)], 1));
     }
 }

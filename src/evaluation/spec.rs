@@ -1,18 +1,25 @@
 //! Experiments as they are asked for, in arguments or in the TOML file of a suite, and how they become
 //! [`ExperimentPlan`]s.
 
-use std::fs;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
 use super::EvaluationError;
 use super::experiment::{ExperimentPlan, PlannedFrames};
-use super::ground_truth::{RowFilter, Table, Tolerance};
+use super::ground_truth::{RowFilter, RowFilterError, Table, file};
 use super::layout::{Camera, Layout, LayoutError, LayoutOptions};
+use super::overlap::refuse_overlap;
 use super::results::{Baseline, Database, Method};
 use super::traverse::TraversePlan;
-use super::truth_plan::{TruthPlan, TruthSpec};
+use super::truth_plan::{NamedTolerance, TruthPlan, TruthSpec};
+use crate::source::{Address, ffmpeg_version};
+
+/// Largest suite that is read, in bytes.
+const MAX_SUITE_BYTES: u64 = 1 << 20;
+/// How many of the frames that are looked at the past begins back, unless a layout has them closer in time.
+const DEFAULT_RECENT_FRAMES: u64 = 20;
 
 /// One experiment, as asked for.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq)]
@@ -78,8 +85,9 @@ pub struct TruthSettings {
     pub lap_tolerance: Option<f64>,
     /// Largest difference of place numbers of one place; default 0.
     pub place_tolerance: Option<i64>,
-    /// How many frames back the past begins; by default what the layout says, 20 or 300.
-    pub recent: Option<usize>,
+    /// How many frames back the past begins, counted before sampling; by default 20 of those that are looked
+    /// at, or what the layout says.
+    pub recent: Option<u64>,
 }
 
 /// Several experiments, in a TOML file.
@@ -99,26 +107,47 @@ impl Suite {
     /// # Errors
     /// If it cannot be read or has keys that nobody knows.
     pub fn read(path: &Path) -> Result<Self, EvaluationError> {
-        let error = |reason: String| EvaluationError::Suite { path: path.to_owned(), reason };
-        let text = fs::read_to_string(path).map_err(|source| error(source.to_string()))?;
-        let suite: Self = toml::from_str(&text)
-            .map_err(|source| error(source.message().split_whitespace().collect::<Vec<_>>().join(" ")))?;
+        let error =
+            |reason: &str| EvaluationError::Suite { path: path.to_owned(), reason: reason.to_owned() };
+        if !path.exists() {
+            return Err(error("there is no such file; name a suite with --suite FILE.toml"));
+        }
+        let bytes = file::read(path, MAX_SUITE_BYTES)?;
+        let text = std::str::from_utf8(&bytes).map_err(|_| error("it is no text"))?;
+        let suite: Self = toml::from_str(text)
+            .map_err(|source| error(&source.message().split_whitespace().collect::<Vec<_>>().join(" ")))?;
         Ok(Self { data: path.parent().unwrap_or(Path::new("")).join(suite.data), ..suite })
     }
 
-    /// The folder that paths start from: `named`, or what the file says.
-    #[must_use]
-    pub fn data(&self, named: Option<&Path>) -> PathBuf {
-        named.unwrap_or(&self.data).to_owned()
+    /// The plans of its experiments, their paths below `data`, by default where the file says.
+    ///
+    /// # Errors
+    /// If there is no such folder, or an experiment cannot be planned; the error names it.
+    pub fn plans(&self, data: Option<&Path>) -> Result<Vec<ExperimentPlan>, EvaluationError> {
+        let data = data.unwrap_or(&self.data);
+        if !data.is_dir() {
+            return Err(EvaluationError::Wrong(format!(
+                "the suite's data are looked for in {}, which is no folder; name it with --data or LOCI_DATA",
+                data.display()
+            )));
+        }
+        let plan = |spec: &ExperimentSpec| {
+            spec.plan(data).map_err(|error| EvaluationError::Experiment {
+                name: spec.name.clone().unwrap_or_default(),
+                data: data.to_owned(),
+                error: Box::new(error),
+            })
+        };
+        self.experiments.iter().map(plan).collect()
     }
 }
 
 /// `text` below `folder`, if it is a path rather than a source with a scheme.
 fn located(folder: &Path, text: &str) -> String {
-    if text.starts_with("synthetic:") || text.starts_with("v4l2:") {
-        return text.to_owned();
+    match Address::from(text) {
+        Address::Path(path) => folder.join(path).display().to_string(),
+        _ => text.to_owned(),
     }
-    folder.join(text).display().to_string()
 }
 
 impl ExperimentSpec {
@@ -127,16 +156,34 @@ impl ExperimentSpec {
     /// # Errors
     /// If something is asked for that makes no sense, or the ground truth does not fit the frames.
     pub fn plan(&self, folder: &Path) -> Result<ExperimentPlan, EvaluationError> {
+        self.truth.check()?;
         let truth = self.truth.spec(folder)?;
-        let traverses = self.frames.traverses(folder, truth.as_ref())?;
-        let Traverses { query, reference, unknown } = traverses;
+        let (methods, paper) = self.methods()?;
+        let Traverses { query, reference, unknown } = self.frames.traverses(folder, truth.as_ref())?;
+        if reference.is_some() && self.truth.recent.is_some() {
+            let reason =
+                "recent is about a query's own past, and a reference is given; leave one of them out";
+            return Err(EvaluationError::Wrong(reason.to_owned()));
+        }
+        if paper && reference.is_none() {
+            return Err(EvaluationError::PaperNeedsReference);
+        }
         let prepared =
             TruthPlan::prepare(truth.as_ref(), self.truth.tolerance(), &query, reference.as_ref())?;
-        let (methods, paper) = self.methods()?;
         let name = self.name.clone().unwrap_or_else(|| match &reference {
             Some(reference) => format!("{}, known from {}", query.name, reference.name),
             None => format!("{}, known from its own past", query.name),
         });
+        let least_recent = DEFAULT_RECENT_FRAMES * self.frames.sample_interval();
+        let of_layout = self.frames.layout()?.recent_frames().max(least_recent);
+        let mut options = self.frames.options();
+        if [Some(&query), reference.as_ref(), unknown.as_ref()]
+            .into_iter()
+            .flatten()
+            .any(TraversePlan::is_video)
+        {
+            options.extend(ffmpeg_version().map(|version| ("ffmpeg".to_owned(), version)));
+        }
         Ok(ExperimentPlan {
             name,
             note: self.note.clone(),
@@ -144,7 +191,8 @@ impl ExperimentSpec {
             methods,
             databases: self.databases()?,
             paper,
-            recent: self.truth.recent.unwrap_or(self.frames.layout()?.recent_frames()),
+            recent_frames: self.truth.recent.unwrap_or(of_layout),
+            options,
             baselines: self.baselines.iter().map(BaselineSpec::baseline).collect(),
         })
     }
@@ -181,7 +229,10 @@ impl ExperimentSpec {
                 EvaluationError::Wrong(format!("no database '{name}'; there are frames and map"))
             })
         };
-        self.databases.iter().map(database).collect()
+        let mut databases = self.databases.iter().map(database).collect::<Result<Vec<_>, _>>()?;
+        databases.sort_unstable();
+        databases.dedup();
+        Ok(databases)
     }
 }
 
@@ -201,13 +252,33 @@ impl TruthSettings {
             .map_err(|error: super::TruthSpecError| EvaluationError::Wrong(error.to_string()))
     }
 
-    fn tolerance(&self) -> Tolerance {
-        let defaults = Tolerance::default();
-        Tolerance {
-            lap_share: self.lap_tolerance.unwrap_or(defaults.lap_share),
-            radius_metres: self.radius.unwrap_or(defaults.radius_metres),
-            ordinals: self.place_tolerance.unwrap_or(defaults.ordinals),
+    /// Refuses numbers that make no sense.
+    fn check(&self) -> Result<(), EvaluationError> {
+        above_zero("radius", self.radius, "metres")?;
+        above_zero("lap-tolerance", self.lap_tolerance, "laps")?;
+        match self.place_tolerance {
+            Some(places) if places < 0 => {
+                Err(EvaluationError::Wrong(format!("place-tolerance {places} is below 0")))
+            }
+            _ => Ok(()),
         }
+    }
+
+    fn tolerance(&self) -> NamedTolerance {
+        NamedTolerance {
+            lap_share: self.lap_tolerance,
+            radius_metres: self.radius,
+            ordinals: self.place_tolerance,
+        }
+    }
+}
+
+fn above_zero(name: &str, number: Option<f64>, unit: &str) -> Result<(), EvaluationError> {
+    match number {
+        Some(number) if !(number.is_finite() && number > 0.0) => {
+            Err(EvaluationError::Wrong(format!("{name} {number} is not a number of {unit} above 0")))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -225,47 +296,101 @@ impl FramesSpec {
         self.layout.as_ref().map_or(Ok(Layout::Images), parse)
     }
 
+    fn sample_interval(&self) -> u64 {
+        self.sample_interval.unwrap_or(1).max(1)
+    }
+
+    /// What was asked for and bears on the figures, by name.
+    fn options(&self) -> BTreeMap<String, String> {
+        let named = [
+            ("layout", self.layout.clone()),
+            ("camera", self.camera.clone()),
+            ("spacing_metres", self.spacing.map(|metres| metres.to_string())),
+            ("sample_interval", self.sample_interval.map(|interval| interval.to_string())),
+        ];
+        named.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
+    }
+
+    /// The sources that were named, as paths from `folder`.
+    fn sources(&self, folder: &Path) -> [Option<String>; 3] {
+        [&self.query, &self.reference, &self.unknown]
+            .map(|source| source.as_ref().map(|source| located(folder, source)))
+    }
+
+    /// Refuses what only folders have, where none is given.
+    fn check(&self, sources: &[Option<String>; 3]) -> Result<(), EvaluationError> {
+        above_zero("spacing", self.spacing, "metres")?;
+        let of_folders = [
+            self.layout.as_ref().map(|_| "layout"),
+            self.camera.as_ref().map(|_| "camera"),
+            self.spacing.map(|_| "spacing"),
+        ];
+        let has_folder = sources.iter().flatten().any(|source| Path::new(source).is_dir());
+        match of_folders.into_iter().flatten().next().filter(|_| !has_folder) {
+            Some(name) => {
+                Err(EvaluationError::Wrong(format!("{name} is about folders of frames, and none is given")))
+            }
+            None => Ok(()),
+        }
+    }
+
     fn traverses(&self, folder: &Path, truth: Option<&TruthSpec>) -> Result<Traverses, EvaluationError> {
-        let wrong = |reason: String| EvaluationError::Wrong(reason);
-        let layout = self.layout()?;
+        let wrong = |reason: &str| Err(EvaluationError::Wrong(reason.to_owned()));
+        let sources = self.sources(folder);
+        let (layout, options) = (self.layout()?, self.layout_options()?);
+        self.check(&sources)?;
+        let open = |source: &String| TraversePlan::open(source, layout, &options, self.sample_interval());
+        let of_rows = |rows: &String| self.rows(rows, truth);
+        let [query, reference, unknown] = &sources;
+        let query = match (query, &self.query_rows) {
+            (Some(_), Some(_)) => return wrong("a query is a source or rows, not both"),
+            (Some(source), None) => open(source)?,
+            (None, Some(rows)) => of_rows(rows)?,
+            (None, None) => of_rows(&String::new())?,
+        };
+        let reference = match (reference, &self.reference_rows) {
+            (Some(_), Some(_)) => return wrong("a reference is a source or rows, not both"),
+            (Some(source), None) => Some(open(source)?),
+            (None, Some(rows)) => Some(of_rows(rows)?),
+            (None, None) => None,
+        };
+        let unknown = unknown.as_ref().map(open).transpose()?;
+        let all: Vec<&TraversePlan> =
+            [Some(&query), reference.as_ref(), unknown.as_ref()].into_iter().flatten().collect();
+        for (index, one) in all.iter().enumerate() {
+            all[..index].iter().try_for_each(|other| refuse_overlap(one, other))?;
+        }
+        Ok(Traverses { query, reference, unknown })
+    }
+
+    fn layout_options(&self) -> Result<LayoutOptions, EvaluationError> {
         let camera = match self.camera.as_deref() {
             None | Some("left") => Camera::Left,
             Some("right") => Camera::Right,
-            Some(other) => return Err(wrong(format!("no camera '{other}'; there are left and right"))),
+            Some(other) => {
+                let reason = format!("no camera '{other}'; there are left and right");
+                return Err(EvaluationError::Wrong(reason));
+            }
         };
-        let options = LayoutOptions { spacing_metres: self.spacing, camera };
-        let sample_interval = self.sample_interval.unwrap_or(1).max(1);
-        let open =
-            |source: &String| TraversePlan::open(&located(folder, source), layout, &options, sample_interval);
-        let of_rows = |rows: Option<&String>| -> Result<TraversePlan, EvaluationError> {
-            let Some(TruthSpec::File(path)) = truth else {
-                let reason = "rows are rows of a ground-truth table: name it with --truth FILE.csv";
-                return Err(wrong(reason.to_owned()));
-            };
-            let filter: RowFilter = rows
-                .map_or("", String::as_str)
-                .parse()
-                .map_err(|error: super::ground_truth::RowFilterError| wrong(error.to_string()))?;
-            Ok(TraversePlan::of_rows(&Table::read(path)?, &filter)?)
+        Ok(LayoutOptions { spacing_metres: self.spacing, camera })
+    }
+
+    /// The traverse that rows of the ground-truth table are.
+    fn rows(&self, rows: &str, truth: Option<&TruthSpec>) -> Result<TraversePlan, EvaluationError> {
+        let Some(TruthSpec::File(path)) = truth else {
+            let reason = "rows are rows of a ground-truth table: name it with --truth FILE.csv";
+            return Err(EvaluationError::Wrong(reason.to_owned()));
         };
-        let query = match (&self.query, &self.query_rows) {
-            (Some(_), Some(_)) => return Err(wrong("a query is a source or rows, not both".into())),
-            (Some(source), None) => open(source)?,
-            (None, rows) => of_rows(rows.as_ref())?,
-        };
-        let reference = match (&self.reference, &self.reference_rows) {
-            (Some(_), Some(_)) => return Err(wrong("a reference is a source or rows, not both".into())),
-            (Some(source), None) => Some(open(source)?),
-            (None, Some(rows)) => Some(of_rows(Some(rows))?),
-            (None, None) => None,
-        };
-        let unknown = self.unknown.as_ref().map(open).transpose()?;
-        Ok(Traverses { query, reference, unknown })
+        let filter: RowFilter =
+            rows.parse().map_err(|error: RowFilterError| EvaluationError::Wrong(error.to_string()))?;
+        Ok(TraversePlan::of_rows(&Table::read(path)?, &filter, self.sample_interval())?)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn methods(names: &[&str]) -> Result<(Vec<Method>, bool), String> {
@@ -292,7 +417,8 @@ mod tests {
         let message = Suite::read(&path).unwrap_err().to_string();
         assert!(message.contains("unknown field `qeury`"), "{message}");
         fs::write(&path, "data = 'd'\n[[experiment]]\nname = 'x'\n").unwrap();
-        assert_eq!(Suite::read(&path).unwrap().data(None), folder.path().join("d"));
+        let message = Suite::read(&path).unwrap().plans(None).unwrap_err().to_string();
+        assert!(message.contains(&folder.path().join("d").display().to_string()), "{message}");
     }
 
     #[test]
@@ -303,5 +429,108 @@ mod tests {
         assert!(
             message(ExperimentSpec { truth, ..ExperimentSpec::default() }).contains("there is no such file")
         );
+    }
+    /// A table of four frames on a line, 10 m apart.
+    fn line() -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let mut table = "file,easting,northing,lap\n".to_owned();
+        for frame in 0..4 {
+            fs::write(folder.path().join(format!("{frame}.jpg")), "").unwrap();
+            table += &format!("{frame}.jpg,{}0,0,{}\n", frame, frame / 2);
+        }
+        let path = folder.path().join("truth.csv");
+        fs::write(&path, table).unwrap();
+        (folder, path)
+    }
+
+    fn refused(spec: &ExperimentSpec) -> String {
+        match spec.plan(Path::new("")) {
+            Ok(_) => panic!("{spec:?} was planned"),
+            Err(error) => error.to_string(),
+        }
+    }
+
+    fn spec_of(toml: &str) -> ExperimentSpec {
+        toml::from_str(toml).unwrap()
+    }
+
+    #[test]
+    fn what_is_known_may_not_be_what_is_asked_about() {
+        let (folder, table) = line();
+        let truth = format!("truth.from = '{}'\n", table.display());
+        let both = spec_of(&format!("{truth}frames = {{ query-rows = '', reference-rows = 'lap=1' }}"));
+        let message = refused(&both);
+        assert!(message.contains("frames in common (2.jpg, 3.jpg)"), "{message}");
+        let unknown = format!("frames = {{ query-rows = 'lap=1', unknown = '{}' }}", folder.path().display());
+        let message = refused(&spec_of(&format!("{truth}{unknown}")));
+        assert!(message.contains("2.jpg"), "{message}");
+        let apart = spec_of(&format!("{truth}frames = {{ query-rows = 'lap=1', reference-rows = 'lap=0' }}"));
+        assert!(apart.plan(Path::new("")).is_ok());
+        let world = "'synthetic:corridor?laps=1&frames=4'";
+        let same = format!("truth.from = 'places=1'\nframes = {{ query = {world}, reference = {world} }}");
+        assert!(refused(&spec_of(&same)).contains("frames in common"));
+    }
+
+    #[test]
+    fn an_option_that_would_change_nothing_is_refused_rather_than_ignored() {
+        let (_folder, table) = line();
+        let rows = |more: &str| spec_of(&format!("truth.from = '{}'\n{more}", table.display()));
+        for (option, named) in [
+            ("truth.lap-tolerance = 0.1", "lap-tolerance"),
+            ("truth.place-tolerance = 1", "place-tolerance"),
+            ("frames.spacing = 5.0", "spacing"),
+            ("frames.layout = 'kitti'", "layout"),
+            ("frames.camera = 'left'", "camera"),
+        ] {
+            let message = refused(&rows(option));
+            assert!(message.contains(named), "{option}: {message}");
+        }
+        let known = "frames = { query-rows = 'lap=1', reference-rows = 'lap=0' }\ntruth.recent = 3";
+        assert!(refused(&rows(known)).contains("recent"));
+        let world = "frames.query = 'synthetic:corridor?laps=1&frames=4'\n";
+        let twice = format!("{world}truth = {{ from = 'radius=3', radius = 25.0 }}");
+        assert!(refused(&spec_of(&twice)).contains("radius"));
+        assert!(rows("truth.radius = 5.0").plan(Path::new("")).is_ok(), "positions have a radius");
+    }
+
+    #[test]
+    fn numbers_that_make_no_sense_are_refused_by_name() {
+        let (_folder, table) = line();
+        for (option, named) in [
+            ("truth.radius = nan", "radius NaN"),
+            ("truth.radius = -1.0", "radius -1"),
+            ("truth.lap-tolerance = inf", "lap-tolerance inf"),
+            ("truth.place-tolerance = -2", "place-tolerance -2"),
+            ("frames.spacing = 0.0", "spacing 0"),
+        ] {
+            let message = refused(&spec_of(&format!("truth.from = '{}'\n{option}", table.display())));
+            assert!(message.contains(named), "{option}: {message}");
+        }
+    }
+
+    #[test]
+    fn what_the_frames_do_not_carry_is_noticed_before_they_are_looked_at() {
+        let (folder, _) = line();
+        let images = format!("frames.query = '{}'\n", folder.path().display());
+        for truth in ["radius=5", "places=1"] {
+            let message = refused(&spec_of(&format!("{images}truth.from = '{truth}'")));
+            assert!(message.contains("do not carry"), "{truth}: {message}");
+        }
+        assert!(
+            refused(&spec_of("frames.query = 'v4l2:/dev/video0'\ntruth.from = 'none'")).contains("record it")
+        );
+        let mistyped = "frames = { query = 'synthetic:corridor?laps=1&frames=4', unknown = '/nowhere' }\n\
+                        truth.from = 'none'";
+        assert!(refused(&spec_of(mistyped)).contains("/nowhere"));
+    }
+
+    #[test]
+    fn the_past_begins_as_far_back_as_sampling_makes_it() {
+        let world = "frames = { query = 'synthetic:corridor?laps=1&frames=4', sample-interval = 3 }\n";
+        let plan =
+            |more: &str| spec_of(&format!("{world}truth.from = 'places=1'\n{more}")).plan(Path::new(""));
+        assert_eq!(plan("").unwrap().recent_frames, 60);
+        assert_eq!(plan("truth.recent = 5").unwrap().recent_frames, 5);
+        assert_eq!(plan("").unwrap().options["sample_interval"], "3");
     }
 }

@@ -17,7 +17,8 @@ use crate::pipeline::{Perception, PerceptionLatency, Seen, Watcher};
 use crate::raster::{GreyImage, RgbImage};
 use crate::recognition::Look;
 use crate::source::{
-    self, DirectorySource, FrameSource, SourceError, VideoSource, image_files, thumbnail_jpeg,
+    self, Address, DirectorySource, FrameSource, SourceError, VideoSource, image_files, is_image,
+    thumbnail_jpeg,
 };
 use crate::vocabulary::Vocabulary;
 
@@ -35,7 +36,12 @@ pub struct Eyes {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Frames {
     /// A source as `loci run` takes it.
-    Source(String),
+    Source {
+        /// Its address.
+        address: String,
+        /// How many frames it announces, where it does.
+        count: Option<usize>,
+    },
     /// Image files, in order.
     Files(Vec<PathBuf>),
     /// Frames of a video file, by index.
@@ -78,12 +84,11 @@ impl TraversePlan {
         sample_interval: u64,
     ) -> Result<Self, EvaluationError> {
         let path = Path::new(source);
+        if is_image(path) {
+            return Ok(Self::of_frames(folder_name(path), Frames::Files(vec![path.to_owned()]), 1));
+        }
         if !path.is_dir() {
-            return Ok(Self::of_frames(
-                source.to_owned(),
-                Frames::Source(source.to_owned()),
-                sample_interval,
-            ));
+            return Self::of_source(source, sample_interval);
         }
         if layout == Layout::Images && image_files(path).is_err() {
             let files = files_of_subfolders(path)?;
@@ -102,11 +107,26 @@ impl TraversePlan {
         })
     }
 
+    /// Whatever `loci run` reads and ends by itself. It is opened to learn how many frames it announces.
+    fn of_source(address: &str, sample_interval: u64) -> Result<Self, EvaluationError> {
+        if matches!(Address::from(address), Address::Camera(_)) {
+            let reason = format!("{address} never ends: record it, and evaluate the video");
+            return Err(EvaluationError::Wrong(reason));
+        }
+        let count = source::open(address, Some(1))?.frame_count().and_then(|count| count.try_into().ok());
+        let frames = Frames::Source { address: address.to_owned(), count };
+        Ok(Self::of_frames(address.to_owned(), frames, sample_interval))
+    }
+
     /// The traverse that the chosen rows of a ground-truth table are.
     ///
     /// # Errors
     /// If no row is chosen, or one names a file that is not there.
-    pub fn of_rows(table: &Table, filter: &RowFilter) -> Result<Self, GroundTruthError> {
+    pub fn of_rows(
+        table: &Table,
+        filter: &RowFilter,
+        sample_interval: u64,
+    ) -> Result<Self, GroundTruthError> {
         let rows = filter.choose(table)?;
         let files = table.files(table.file_column(filter.files())?)?;
         let folder = table.path().parent().map(folder_name).unwrap_or_default();
@@ -115,7 +135,7 @@ impl TraversePlan {
             text => format!("{folder}, {text}"),
         };
         let frames = Frames::Files(rows.iter().map(|&row| files[row].clone()).collect());
-        Ok(Self { table_rows: Some(rows), ..Self::of_frames(name, frames, 1) })
+        Ok(Self { table_rows: Some(rows), ..Self::of_frames(name, frames, sample_interval) })
     }
 
     fn of_frames(name: String, frames: Frames, sample_interval: u64) -> Self {
@@ -134,16 +154,39 @@ impl TraversePlan {
     #[must_use]
     pub fn frame_count(&self) -> Option<usize> {
         match &self.frames {
-            Frames::Source(_) => None,
+            Frames::Source { count, .. } => *count,
             Frames::Files(files) => Some(files.len()),
             Frames::Video { frames, .. } => Some(frames.len()),
+        }
+    }
+
+    /// Whether its files do not all stand in one folder.
+    fn spans_folders(&self) -> bool {
+        let Frames::Files(files) = &self.frames else { return false };
+        files.iter().any(|file| file.parent() != files[0].parent())
+    }
+
+    /// Whether its frames carry where they were taken, as those of a synthetic world do.
+    #[must_use]
+    pub fn is_synthetic(&self) -> bool {
+        let Frames::Source { address, .. } = &self.frames else { return false };
+        matches!(Address::from(address.as_str()), Address::Synthetic(_))
+    }
+
+    /// Whether its frames come from a video.
+    #[must_use]
+    pub fn is_video(&self) -> bool {
+        match &self.frames {
+            Frames::Video { .. } => true,
+            Frames::Source { .. } => !self.is_synthetic(),
+            Frames::Files(_) => false,
         }
     }
 
     fn source(&self) -> Result<Box<dyn FrameSource>, SourceError> {
         let step = usize::try_from(self.sample_interval).unwrap_or(usize::MAX).max(1);
         Ok(match &self.frames {
-            Frames::Source(source) => source::open(source, Some(self.sample_interval))?,
+            Frames::Source { address, .. } => source::open(address, Some(self.sample_interval))?,
             Frames::Files(files) => {
                 Box::new(DirectorySource::of_files(files.iter().step_by(step).cloned().collect()))
             }
@@ -156,7 +199,7 @@ impl TraversePlan {
     /// The number of a frame in the traverse before sampling.
     fn number(&self, frame: &Frame) -> u64 {
         match &self.frames {
-            Frames::Source(_) => frame.index,
+            Frames::Source { .. } => frame.index,
             Frames::Files(_) => frame.index * self.sample_interval.max(1),
             Frames::Video { frames, .. } => frames.binary_search(&frame.index).unwrap_or_default() as u64,
         }
@@ -173,6 +216,7 @@ impl TraversePlan {
         (stop, watcher): (&AtomicBool, &dyn Watcher),
     ) -> Result<Traverse, EvaluationError> {
         let mut observations = Vec::new();
+        let spans_folders = self.spans_folders();
         let perception = Perception {
             extractor: &eyes.extractor,
             vocabulary: &eyes.vocabulary,
@@ -180,7 +224,7 @@ impl TraversePlan {
         };
         let skipped = perception.run(self.source()?, stop, watcher, |seen| {
             let number = self.number(&seen.frame);
-            observations.push(self.observation(seen, number, keeps_pictures));
+            observations.push(self.observation(seen, number, (spans_folders, keeps_pictures)));
             Ok::<_, EvaluationError>(ControlFlow::Continue(()))
         })?;
         if stop.load(Ordering::Relaxed) {
@@ -189,21 +233,30 @@ impl TraversePlan {
         if observations.is_empty() {
             return Err(EvaluationError::NoFrames { name: self.name.clone() });
         }
-        Ok(Traverse { name: self.name.clone(), observations, skipped })
+        let end = observations.last().map_or(0, |last| last.number + self.sample_interval.max(1));
+        Ok(Traverse { name: self.name.clone(), observations, skipped, end })
     }
 
-    fn observation(&self, seen: Seen, number: u64, keeps_picture: bool) -> Observation {
+    fn observation(
+        &self,
+        seen: Seen,
+        number: u64,
+        (spans_folders, keeps_picture): (bool, bool),
+    ) -> Observation {
         let Seen { frame, look, latency, .. } = seen;
-        let name = match &self.frames {
-            Frames::Files(files) => files.get(number as usize).map(|path| name_in(path, files)),
+        let file = match &self.frames {
+            Frames::Files(files) => files.get(number as usize),
             _ => None,
         };
+        let name = file.map(|path| if spans_folders { name_with_folder(path) } else { folder_name(path) });
         Observation {
             number,
             name: name.unwrap_or_else(|| frame.name.clone()),
+            folder: file.and_then(|path| path.parent()).unwrap_or(Path::new(&self.name)).to_owned(),
             position_metres: frame.pose.map(|pose| [pose.position_metres[0], pose.position_metres[1]]),
             true_place: frame.true_place,
             size_px: (frame.colour.width() as u32, frame.colour.height() as u32),
+            groups: look.quantised.iter().map(|quantised| quantised.node.0).collect(),
             picture_jpeg: if keeps_picture { thumbnail_jpeg(&frame.colour) } else { Vec::new() },
             look,
             latency,
@@ -233,14 +286,8 @@ fn folder_name(path: &Path) -> String {
     path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
 }
 
-/// The name of a file: with its folder, where not all `files` stand in one.
-fn name_in(path: &Path, files: &[PathBuf]) -> String {
-    let file = path.file_name().unwrap_or_default().to_string_lossy();
-    let in_one_folder = files.first().map(|first| first.parent()) == files.last().map(|last| last.parent());
-    match path.parent() {
-        Some(folder) if !in_one_folder => format!("{}/{file}", folder_name(folder)),
-        _ => file.into_owned(),
-    }
+fn name_with_folder(path: &Path) -> String {
+    format!("{}/{}", path.parent().map(folder_name).unwrap_or_default(), folder_name(path))
 }
 
 /// A frame as evaluation keeps it.
@@ -250,6 +297,8 @@ pub struct Observation {
     pub number: u64,
     /// What a person would call it.
     pub name: String,
+    /// The folder of its file, or the source it comes from.
+    pub folder: PathBuf,
     /// Where the camera was, if the source knows.
     pub position_metres: Option<[f64; 2]>,
     /// The place it truly shows, if the source knows.
@@ -260,6 +309,8 @@ pub struct Observation {
     pub picture_jpeg: Vec<u8>,
     /// What was seen.
     pub look: Look,
+    /// The vocabulary node of each feature, within which features are compared.
+    pub groups: Vec<u32>,
     /// How long seeing took.
     pub latency: PerceptionLatency,
 }
@@ -290,6 +341,8 @@ pub struct Traverse {
     pub observations: Vec<Observation>,
     /// Frames that could not be read.
     pub skipped: u64,
+    /// The number that a next frame would have at least, were there one.
+    pub end: u64,
 }
 
 impl Traverse {
@@ -303,6 +356,12 @@ impl Traverse {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.observations.is_empty()
+    }
+
+    /// The number of each frame before sampling; they ascend.
+    #[must_use]
+    pub fn numbers(&self) -> Vec<u64> {
+        self.observations.iter().map(|observation| observation.number).collect()
     }
 
     /// What reports say of it.

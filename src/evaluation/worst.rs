@@ -1,14 +1,14 @@
 //! The worst mistakes, as pairs of images with their inliers: what a figure cannot tell.
 
-use super::answer::{Answer, Candidate};
-use super::experiment::{Answers, Scene};
-use super::frames::groups;
+use super::answer::Candidate;
+
+use super::frames::geometry;
 use super::ground_truth::Relation;
-use super::judgement::Judged;
+use super::judgement::{Asked, Judged};
 use super::results::{ImagePair, Mistake, Picture};
-use super::traverse::Observation;
-use crate::recognition::RecognitionOptions;
-use crate::verification::{MatchingView, Verification, verify};
+use super::scene::{Answers, Scene};
+use super::traverse::{Observation, Traverse};
+use crate::verification::VerificationOptions;
 
 /// Most mistakes of a kind that are shown.
 const MAX_SHOWN: usize = 4;
@@ -20,42 +20,43 @@ pub(super) fn mistakes(
     scene: &Scene<'_>,
     answers: &Answers,
     judged: &[Judged],
-    options: &RecognitionOptions,
+    options: &VerificationOptions,
 ) -> Vec<ImagePair> {
-    let of_query = |judged: &&Judged| judged.query.is_some();
-    let mut accepts: Vec<&Judged> = judged
-        .iter()
-        .filter(of_query)
-        .filter(|judged| judged.is_given && judged.best == Relation::Different)
-        .collect();
-    accepts.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.query.cmp(&b.query)));
+    let mut accepts: Vec<&Judged> =
+        judged.iter().filter(|judged| judged.is_given && judged.best == Relation::Different).collect();
+    accepts.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.asked.cmp(&b.asked)));
     let mut misses: Vec<&Judged> =
-        judged.iter().filter(of_query).filter(|judged| judged.is_known && !judged.is_given).collect();
-    misses.sort_by(|a, b| a.probability.total_cmp(&b.probability).then(a.query.cmp(&b.query)));
-    let mut pairs = Vec::new();
-    for query in apart(&accepts, scene.query.len()) {
-        let answer = &answers.query[query];
-        pairs.extend(answer.candidates.first().map(|best| {
-            let reason = best.reason.clone();
-            pair(scene, (Mistake::FalseAccept, query, best.reference), (best.probability, reason), options)
-        }));
-    }
-    for query in apart(&misses, scene.query.len()) {
-        pairs.extend(miss(scene, answers, query, options));
-    }
-    pairs
+        judged.iter().filter(|judged| judged.is_known && !judged.is_given).collect();
+    misses.sort_by(|a, b| a.probability.total_cmp(&b.probability).then(a.asked.cmp(&b.asked)));
+    let accepts = apart(scene, &accepts).into_iter().filter_map(|asked| {
+        let best = answers.of(asked)?.candidates.first()?;
+        let confidence = (best.probability, best.reason.clone());
+        pair(scene, (Mistake::FalseAccept, asked, best.reference), confidence, options)
+    });
+    let misses = apart(scene, &misses).into_iter().filter_map(|asked| miss(scene, answers, asked, options));
+    accepts.chain(misses).collect()
 }
 
 /// The first of `mistakes` that lie far enough from each other.
-fn apart(mistakes: &[&Judged], frames: usize) -> Vec<usize> {
-    let gap = (frames as f64 * MIN_APART).ceil() as usize;
-    let mut shown: Vec<usize> = Vec::new();
-    for query in mistakes.iter().filter_map(|judged| judged.query) {
-        if shown.len() < MAX_SHOWN && shown.iter().all(|&other| query.abs_diff(other) >= gap) {
-            shown.push(query);
+fn apart(scene: &Scene<'_>, mistakes: &[&Judged]) -> Vec<Asked> {
+    let near = |a: Asked, b: Asked| match (a, b) {
+        (Asked::Query(a), Asked::Query(b)) => is_near(a, b, scene.query),
+        (Asked::Stranger(a), Asked::Stranger(b)) => {
+            scene.unknown.is_some_and(|unknown| is_near(a, b, unknown))
+        }
+        _ => false,
+    };
+    let mut shown: Vec<Asked> = Vec::new();
+    for mistake in mistakes {
+        if shown.len() < MAX_SHOWN && !shown.iter().any(|&other| near(other, mistake.asked)) {
+            shown.push(mistake.asked);
         }
     }
     shown
+}
+
+fn is_near(a: usize, b: usize, traverse: &Traverse) -> bool {
+    a.abs_diff(b) < (traverse.len() as f64 * MIN_APART).ceil() as usize
 }
 
 /// A miss beside the candidate that was right but not accepted; or, where none was right, beside a frame
@@ -63,32 +64,33 @@ fn apart(mistakes: &[&Judged], frames: usize) -> Vec<usize> {
 fn miss(
     scene: &Scene<'_>,
     answers: &Answers,
-    query: usize,
-    options: &RecognitionOptions,
+    asked: Asked,
+    options: &VerificationOptions,
 ) -> Option<ImagePair> {
-    let answer: &Answer = &answers.query[query];
+    let Asked::Query(query) = asked else { return None };
+    let answer = answers.of(asked)?;
     let is_right =
-        |candidate: &&Candidate| scene.truth.relation(query, candidate.reference) == Relation::Same;
+        |candidate: &&Candidate| scene.search.relation(query, candidate, &answers.places) == Relation::Same;
     let (reference, reason) = match answer.candidates.iter().find(is_right) {
         Some(candidate) => (candidate.reference, candidate.reason.clone()),
         None => {
             let found = answer.candidates.len();
             let matched = scene.search.matches(query).next()?;
-            (matched, format!("no frame of the place among the {found} candidates"))
+            (matched, format!("not among the {found} candidates"))
         }
     };
     let probability = answer.candidates.first().map_or(0.0, |best| best.probability);
-    Some(pair(scene, (Mistake::Miss, query, reference), (probability, reason), options))
+    pair(scene, (Mistake::Miss, asked, reference), (probability, reason), options)
 }
 
 fn pair(
     scene: &Scene<'_>,
-    (mistake, query, reference): (Mistake, usize, usize),
+    (mistake, asked, reference): (Mistake, Asked, usize),
     (confidence, reason): (f64, String),
-    options: &RecognitionOptions,
-) -> ImagePair {
-    let query = &scene.query.observations[query];
-    let reference = &scene.reference.observations[reference];
+    options: &VerificationOptions,
+) -> Option<ImagePair> {
+    let query = scene.observation(asked)?;
+    let reference = scene.reference.observations.get(reference)?;
     let verification = geometry(query, reference, options);
     let share = |point: crate::geometry::Point, of: &Observation| {
         [point.x / of.look.features.width_px as f32, point.y / of.look.features.height_px as f32]
@@ -98,7 +100,7 @@ fn pair(
         let (from, to) = (share(pair.query_point.point, query), share(pair.keyframe_point.point, reference));
         [from[0], from[1], to[0], to[1]]
     });
-    ImagePair {
+    Some(ImagePair {
         mistake,
         confidence,
         reason,
@@ -106,16 +108,7 @@ fn pair(
         inliers: inliers.collect(),
         query: picture(query),
         reference: picture(reference),
-    }
-}
-
-fn geometry(query: &Observation, reference: &Observation, options: &RecognitionOptions) -> Verification {
-    let (of_query, of_reference) = (groups(&query.look.quantised), groups(&reference.look.quantised));
-    verify(
-        MatchingView { features: &query.look.features, groups: &of_query },
-        MatchingView { features: &reference.look.features, groups: &of_reference },
-        &options.verification,
-    )
+    })
 }
 
 fn picture(observation: &Observation) -> Picture {

@@ -51,6 +51,12 @@ impl OrbExtractor {
         Self { options, centroid: IntensityCentroid::new() }
     }
 
+    /// Its settings.
+    #[must_use]
+    pub fn options(&self) -> &OrbOptions {
+        &self.options
+    }
+
     /// The features of `frame`, at most [`OrbOptions::max_features`], spread over it.
     #[must_use]
     pub fn extract(&self, frame: &GreyImage) -> Features {

@@ -20,7 +20,7 @@ pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
     for entry in fs::read_dir(folder).map_err(error)? {
         let path = entry.map_err(error)?.path();
         // Neither a folder called `x.jpg` nor a pipe, which would block, is an image.
-        if has_image_extension(&path) && path.is_file() {
+        if is_image(&path) {
             paths.push(path);
         }
     }
@@ -29,6 +29,13 @@ pub fn image_files(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
     }
     sort_naturally(&mut paths);
     Ok(paths)
+}
+
+/// Whether there is a file at `path` that is called like an image.
+#[must_use]
+pub fn is_image(path: &Path) -> bool {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    EXTENSIONS.contains(&extension.as_str()) && path.is_file()
 }
 
 /// Sorts paths as people would: `2.jpg` before `10.jpg`.
@@ -88,11 +95,6 @@ impl FrameSource for DirectorySource {
     fn frame_count(&self) -> Option<u64> {
         Some(self.paths.len().div_ceil(self.sample_interval) as u64)
     }
-}
-
-fn has_image_extension(path: &Path) -> bool {
-    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    EXTENSIONS.contains(&extension.as_str())
 }
 
 #[cfg(test)]

@@ -11,11 +11,11 @@ pub mod synthetic;
 mod video;
 
 pub use codec::{decode, jpeg, thumbnail_jpeg};
-pub use directory::{DirectorySource, image_files, sort_naturally};
-pub use video::VideoSource;
+pub use directory::{DirectorySource, image_files, is_image, sort_naturally};
+pub use video::{VideoSource, ffmpeg_version};
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::frame::Frame;
 
@@ -80,25 +80,49 @@ pub enum SourceError {
     },
 }
 
-/// Opens `source` (a folder, a video file, `synthetic:…` or `v4l2:…`) and hands out every
+/// What the address of a source names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Address<'a> {
+    /// A camera: `v4l2:DEVICE`.
+    Camera(&'a str),
+    /// A synthetic world: `synthetic:WORLD`.
+    Synthetic(&'a str),
+    /// A folder of images, an image or a video file.
+    Path(&'a Path),
+}
+
+impl<'a> From<&'a str> for Address<'a> {
+    fn from(text: &'a str) -> Self {
+        match text.split_once(':') {
+            Some(("v4l2", device)) => Self::Camera(device),
+            Some(("synthetic", world)) => Self::Synthetic(world),
+            _ => Self::Path(Path::new(text)),
+        }
+    }
+}
+
+/// Opens `source` (a folder, an image, a video file, `synthetic:…` or `v4l2:…`) and hands out every
 /// `sample_interval`-th frame; by default every one, of a camera or video about three a second.
 ///
 /// # Errors
 /// If there is no such source or it holds no frames.
 pub fn open(source: &str, sample_interval: Option<u64>) -> Result<Box<dyn FrameSource>, SourceError> {
-    if let Some(camera) = source.strip_prefix("v4l2:") {
-        return open_camera(camera, sample_interval);
-    }
-    if let Some(world) = source.strip_prefix("synthetic:") {
-        let interval = sample_interval.unwrap_or(1);
-        return Ok(Box::new(synthetic::SyntheticSource::open(world.parse()?, interval)));
-    }
-    let path = PathBuf::from(source);
-    let metadata = path.metadata().map_err(|source| SourceError::Io { path: path.clone(), source })?;
+    let path = match Address::from(source) {
+        Address::Camera(device) => return open_camera(device, sample_interval),
+        Address::Synthetic(world) => {
+            let interval = sample_interval.unwrap_or(1);
+            return Ok(Box::new(synthetic::SyntheticSource::open(world.parse()?, interval)));
+        }
+        Address::Path(path) => path,
+    };
+    let metadata = path.metadata().map_err(|source| SourceError::Io { path: path.to_owned(), source })?;
     if metadata.is_dir() {
-        return Ok(Box::new(DirectorySource::open(&path, sample_interval.unwrap_or(1))?));
+        return Ok(Box::new(DirectorySource::open(path, sample_interval.unwrap_or(1))?));
     }
-    Ok(Box::new(VideoSource::open(&path, sample_interval)?))
+    if is_image(path) {
+        return Ok(Box::new(DirectorySource::of_files(vec![path.to_owned()])));
+    }
+    Ok(Box::new(VideoSource::open(path, sample_interval)?))
 }
 
 #[cfg(feature = "v4l")]

@@ -11,7 +11,7 @@ pub use header::{FileKind, HEADER_BYTES};
 pub use lock::WriterLock;
 pub use log::{FileLog, LogStore, MemoryLog, RecordLog, Recovery};
 pub use mapped::FileBytes;
-pub use replace::replace_file;
+pub use replace::{check_replaceable, replace_file};
 
 use std::io;
 use std::path::{Path, PathBuf};

@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::StorageError;
 
@@ -13,9 +13,7 @@ use super::StorageError;
 /// # Errors
 /// If the folder cannot be written; the old content is then still there.
 pub fn replace_file(path: &Path, parts: &[&[u8]]) -> Result<(), StorageError> {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.part", std::process::id()));
-    let beside = path.with_file_name(name);
+    let beside = beside(path);
     let written = write_and_sync(&beside, parts).and_then(|()| {
         fs::rename(&beside, path)?;
         sync_folder(path)
@@ -25,6 +23,27 @@ pub fn replace_file(path: &Path, parts: &[&[u8]]) -> Result<(), StorageError> {
         let _ = fs::remove_file(&beside);
         StorageError::Io { action: "write", path: path.to_owned(), source }
     })
+}
+
+/// Fails as [`replace_file`] would where the folder is missing or may not be written to, before there is
+/// anything to write.
+///
+/// # Errors
+/// If no file can be put at `path`.
+pub fn check_replaceable(path: &Path) -> Result<(), StorageError> {
+    let error = |source| StorageError::Io { action: "write", path: path.to_owned(), source };
+    if path.is_dir() {
+        return Err(error(std::io::ErrorKind::IsADirectory.into()));
+    }
+    let beside = beside(path);
+    File::create(&beside).and_then(|_| fs::remove_file(&beside)).map_err(error)
+}
+
+/// Where a file is written before it takes the place of `path`.
+fn beside(path: &Path) -> PathBuf {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".{}.part", std::process::id()));
+    path.with_file_name(name)
 }
 
 fn write_and_sync(path: &Path, parts: &[&[u8]]) -> std::io::Result<()> {
@@ -43,6 +62,16 @@ fn sync_folder(path: &Path) -> std::io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn whether_a_file_can_be_written_is_known_beforehand_and_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        check_replaceable(&folder.path().join("file")).unwrap();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        assert!(check_replaceable(folder.path()).is_err());
+        let message = check_replaceable(&folder.path().join("gone/file")).unwrap_err().to_string();
+        assert!(message.starts_with("cannot write ") && message.contains("gone/file"), "{message}");
+    }
 
     #[test]
     fn a_file_is_replaced_and_nothing_is_left_beside_it() {

@@ -148,7 +148,14 @@ fn what_makes_no_sense_is_refused_before_any_frame_is_looked_at() {
         .assert_failed(2, &["atlantis", "st-lucia"]);
     loci(&["evaluate", world]).assert_failed(1, &["--truth"]);
     loci(&["evaluate", world, "--truth", "places=1", "--methods", "paper"])
-        .assert_failed(1, &["--reference"]);
+        .assert_failed(2, &["--reference"]);
+    loci(&["evaluate", world, "--truth", "places=1", "--report", "/nowhere/page.html"])
+        .assert_failed(1, &["cannot write /nowhere/page.html"]);
+    loci(&["evaluate", world, "--truth", "places=1", "--report", "x.html", "--markdown", "x.html"])
+        .assert_failed(2, &["x.html", "twice"]);
+    loci(&["evaluate", "--suite", "--radius", "5"]).assert_failed(2, &["--radius"]);
+    loci(&["evaluate", "--suite", "/nowhere.toml"]).assert_failed(1, &["/nowhere.toml", "--suite FILE.toml"]);
+    loci(&["evaluate", "--suite", "--data", "/nowhere"]).assert_failed(2, &["/nowhere", "LOCI_DATA"]);
     loci(&["evaluate", "/nowhere", "--truth", "none"]).assert_failed(1, &["/nowhere"]);
 }
 
@@ -161,6 +168,10 @@ fn without_a_cnn_geometry_is_evaluated_alone_and_says_so() {
     let results = report["experiments"][0]["results"].as_array().unwrap();
     assert!(results.iter().all(|result| result["method"] == "bow_hv"));
     assert!(report["experiments"][0]["warnings"][0].as_str().unwrap().contains("no CNN ran"));
+    let stages = report["experiments"][0]["latency"].as_array().unwrap();
+    assert!(stages.iter().all(|stage| stage["stage"] != "cnn"), "{stages:?}");
+    let run = loci_without_runtime(&["evaluate", world, "--truth", "places=1", "--methods", "cnn"]);
+    assert!(run.code == 1 && run.stderr.contains("needs a CNN"), "{}", run.stderr);
 }
 
 #[test]

@@ -4,6 +4,7 @@
 //! matrices say it of pairs of frames. About some frames they say nothing, and those are not scored.
 
 mod error;
+pub(in crate::evaluation) mod file;
 pub mod loop_matrix;
 mod mat;
 mod npy;
@@ -90,8 +91,13 @@ pub enum Rule {
         /// How far apart one place reaches.
         tolerance: Tolerance,
     },
-    /// By the reference frames that each query frame shows the same place as; sorted.
-    Pairs(Vec<Vec<u32>>),
+    /// By lists of reference frames.
+    Pairs {
+        /// Those that each query frame shows the same place as, sorted; `None` if nothing is said about it.
+        matches: Vec<Option<Vec<u32>>>,
+        /// Those about which nothing is said; sorted.
+        unsaid: Vec<u32>,
+    },
     /// The reference shows none of the query's places.
     Strangers,
     /// Frames of the same group, by number, say nothing; those of different groups show different places.
@@ -125,11 +131,15 @@ impl GroundTruth {
                     _ => Relation::Unsaid,
                 }
             }
-            Rule::Pairs(matches) => match matches.get(query) {
-                None => Relation::Unsaid,
-                Some(row) if row.binary_search(&(reference as u32)).is_ok() => Relation::Same,
-                Some(_) => Relation::Different,
-            },
+            Rule::Pairs { matches, unsaid } => {
+                let lists = |list: &[u32]| list.binary_search(&(reference as u32)).is_ok();
+                match matches.get(query).and_then(Option::as_deref) {
+                    Some(_) if lists(unsaid) => Relation::Unsaid,
+                    Some(row) if lists(row) => Relation::Same,
+                    Some(_) => Relation::Different,
+                    None => Relation::Unsaid,
+                }
+            }
             Rule::Strangers => Relation::Different,
             Rule::Groups { query: queries, reference: references } => {
                 match (queries.get(query), references.get(reference)) {
@@ -147,7 +157,7 @@ impl GroundTruth {
             Rule::Spots { query: queries, .. } => {
                 queries.get(query).is_some_and(|spot| *spot != Spot::Unscored)
             }
-            Rule::Pairs(matches) => query < matches.len(),
+            Rule::Pairs { matches, .. } => matches.get(query).is_some_and(Option::is_some),
             Rule::Strangers | Rule::Groups { .. } => true,
         }
     }
@@ -163,13 +173,13 @@ impl GroundTruth {
         }
     }
 
-    /// The same ground truth with the reference moved by `frames`: what an off-by-one would look like.
+    /// What is said of a frame that was seen just before the query frame. Lists hold loop closures: a pair
+    /// of neighbours that they lack may well show the same place.
     #[must_use]
-    pub fn relation_shifted(&self, query: usize, reference: usize, frames: i64) -> Relation {
-        let shifted = i64::try_from(reference).ok().and_then(|frame| frame.checked_add(frames));
-        match shifted.and_then(|frame| usize::try_from(frame).ok()) {
-            Some(reference) => self.relation(query, reference),
-            None => Relation::Unsaid,
+    pub fn relation_just_now(&self, query: usize, reference: usize) -> Relation {
+        match (&self.rule, self.relation(query, reference)) {
+            (Rule::Pairs { .. }, Relation::Different) => Relation::Unsaid,
+            (_, relation) => relation,
         }
     }
 }
@@ -223,7 +233,17 @@ mod tests {
         assert_eq!(truth.relation(0, 0), Relation::Same);
         assert_eq!([truth.relation(0, 1), truth.relation(1, 0), truth.relation(0, 2)], [Relation::Unsaid; 3]);
         assert_eq!([0, 1, 2].map(|query| truth.is_scored(query)), [true, false, false]);
-        assert_eq!(truth.relation_shifted(0, 0, -1), Relation::Unsaid);
+    }
+
+    #[test]
+    fn lists_say_nothing_of_rows_they_leave_out_nor_of_neighbours_they_lack() {
+        let rule = Rule::Pairs { matches: vec![Some(vec![0, 2]), None], unsaid: vec![2, 3] };
+        let truth = GroundTruth { definition: String::new(), sha256: None, rule };
+        let relations = [0, 1, 2, 3].map(|reference| truth.relation(0, reference));
+        assert_eq!(relations, [Relation::Same, Relation::Different, Relation::Unsaid, Relation::Unsaid]);
+        assert_eq!(truth.relation(1, 0), Relation::Unsaid);
+        assert_eq!([0, 1, 2].map(|query| truth.is_scored(query)), [true, false, false]);
+        assert_eq!([0, 1].map(|near| truth.relation_just_now(0, near)), [Relation::Same, Relation::Unsaid]);
     }
 
     proptest! {

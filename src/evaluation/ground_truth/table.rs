@@ -51,7 +51,12 @@ pub enum TableSpots {
     /// A spot a row.
     Spots(Vec<Spot>),
     /// For each row the rows of earlier frames of the same place; sorted.
-    Earlier(Vec<Vec<u32>>),
+    Earlier {
+        /// The rows.
+        rows: Vec<Vec<u32>>,
+        /// Whether anything is said about each row.
+        is_scored: Vec<bool>,
+    },
 }
 
 impl Table {
@@ -176,7 +181,10 @@ impl Table {
     /// If rows are wrong, or no column says it.
     pub fn spots(&self, as_ordinals: bool) -> Result<TableSpots, GroundTruthError> {
         let mut spots = match self.find_column("same_place_as") {
-            Some(column) => return self.earlier(column).map(TableSpots::Earlier),
+            Some(column) => {
+                let rows = self.earlier(column)?;
+                return Ok(TableSpots::Earlier { is_scored: vec![true; rows.len()], rows });
+            }
             None => self.spots_of_all_rows(as_ordinals)?,
         };
         for name in SCORED_COLUMNS {
@@ -287,7 +295,7 @@ mod tests {
     fn spots(text: &str) -> Result<Vec<Spot>, GroundTruthError> {
         match parse(text)?.spots(false)? {
             TableSpots::Spots(spots) => Ok(spots),
-            TableSpots::Earlier(_) => panic!("{text} has spots"),
+            TableSpots::Earlier { .. } => panic!("{text} has spots"),
         }
     }
 
@@ -332,7 +340,7 @@ mod tests {
     #[test]
     fn earlier_frames_are_rows_and_must_be_earlier() {
         let table = parse("file,same_place_as\na.jpg,\nb.jpg,\nc.jpg,b.jpg a.jpg\n").unwrap();
-        let TableSpots::Earlier(rows) = table.spots(false).unwrap() else { panic!("loops") };
+        let TableSpots::Earlier { rows, .. } = table.spots(false).unwrap() else { panic!("loops") };
         assert_eq!(rows, [vec![], vec![], vec![0, 1]]);
         let shifted = parse("file,same_place_as\na.jpg,\nb.jpg,c.jpg\nc.jpg,\n").unwrap();
         assert_eq!(

@@ -64,7 +64,7 @@ impl Layout {
     /// How many frames back a sequence's own past begins, at the frame rate of the set: KITTI has ten a
     /// second, so that half a minute lies in between; the others were thinned before they were published.
     #[must_use]
-    pub fn recent_frames(self) -> usize {
+    pub fn recent_frames(self) -> u64 {
         match self {
             Self::Kitti => 300,
             _ => 20,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Kind, TruthPlan, hash_of};
+use super::{Kind, Pairs, TruthPlan, hash_of};
 use crate::evaluation::ground_truth::{GroundTruthError, LoopMatrix};
 use crate::evaluation::traverse::TraversePlan;
 
@@ -26,12 +26,14 @@ pub(super) fn of_matrix(
         Some(columns) => fits("columns", columns, references)?,
         None => within(path, matrix, references)?,
     }
-    let mut pairs: Vec<Vec<u32>> = (0..matrix.rows()).map(|row| matrix.matches(row).to_vec()).collect();
+    let mut matches: Vec<Vec<u32>> = (0..matrix.rows()).map(|row| matrix.matches(row).to_vec()).collect();
     if reference.is_none() {
-        pairs = earlier_of(&pairs);
+        matches = earlier_of(&matches);
     }
     let file = path.file_name().unwrap_or_default().to_string_lossy();
-    let definition = format!("{file} has the pair");
+    let definition = format!("the pairs in {file}");
+    let matches = matches.into_iter().map(Some).collect();
+    let pairs = Pairs { matches, unsaid: Vec::new(), references: matrix.columns() };
     Ok(TruthPlan { definition, sha256: hash_of(path)?, kind: Kind::Pairs(pairs) })
 }
 

@@ -8,11 +8,11 @@ mod table;
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-pub use self::spec::{TruthSpec, TruthSpecError};
+pub use self::spec::{NamedTolerance, TruthSpec, TruthSpecError};
 use super::ground_truth::{GroundTruth, GroundTruthError, LoopMatrix, Rule, Spot, Table, Tolerance};
 use super::layout;
 use super::traverse::{Observation, Traverse, TraversePlan};
@@ -33,8 +33,7 @@ enum Kind {
         reference: Vec<Spot>,
         tolerance: Tolerance,
     },
-    /// The matching reference frame numbers of each query frame number; sorted.
-    Pairs(Vec<Vec<u32>>),
+    Pairs(Pairs),
     /// Frame numbers.
     Ordinals(Tolerance),
     /// Positions that the frames carry.
@@ -45,6 +44,17 @@ enum Kind {
     Strangers,
 }
 
+/// Lists of matching frame numbers.
+#[derive(Clone, Debug)]
+struct Pairs {
+    /// The matching reference frames of each query frame, sorted; `None` if nothing is said about it.
+    matches: Vec<Option<Vec<u32>>>,
+    /// Reference frames about which nothing is said; sorted.
+    unsaid: Vec<u32>,
+    /// Number of reference frames, where it is known.
+    references: Option<usize>,
+}
+
 impl TruthPlan {
     /// Reads and checks what `spec` asks for; without it, what the layout of the traverses says.
     /// `reference` is `None` where the query is compared with its own past.
@@ -53,10 +63,31 @@ impl TruthPlan {
     /// If the ground truth is wrong or does not fit the frames; the error says which rows.
     pub fn prepare(
         spec: Option<&TruthSpec>,
-        tolerance: Tolerance,
+        named: NamedTolerance,
         query: &TraversePlan,
         reference: Option<&TraversePlan>,
     ) -> Result<Self, GroundTruthError> {
+        let plan = Self::of_spec(spec, named, query, reference)?;
+        let in_use = match spec {
+            Some(TruthSpec::Frames(_) | TruthSpec::Radius(_) | TruthSpec::Places(_)) => None,
+            _ => plan.tolerance_in_use(),
+        };
+        match named.names().find(|&name| Some(name) != in_use) {
+            Some(name) => Err(GroundTruthError::Mismatch(format!(
+                "{name} has no meaning where {} decides; leave it out",
+                plan.definition
+            ))),
+            None => Ok(plan),
+        }
+    }
+
+    fn of_spec(
+        spec: Option<&TruthSpec>,
+        named: NamedTolerance,
+        query: &TraversePlan,
+        reference: Option<&TraversePlan>,
+    ) -> Result<Self, GroundTruthError> {
+        let tolerance = named.or_default();
         match spec {
             Some(TruthSpec::File(path)) if table::is_table(path)? => {
                 table::of_table(&Table::read(path)?, tolerance, query, reference)
@@ -66,12 +97,15 @@ impl TruthPlan {
             }
             Some(TruthSpec::Frames(frames)) => of_frame_numbers(*frames, tolerance, query, reference),
             Some(TruthSpec::Radius(metres)) => {
-                Ok(of_positions(Tolerance { radius_metres: *metres, ..tolerance }, query, reference))
+                of_positions(Tolerance { radius_metres: *metres, ..tolerance }, query, reference)
             }
-            Some(TruthSpec::Places(places)) => Ok(Self::of_rule(
-                format!("places of the synthetic world at most {places} apart"),
-                Kind::TruePlaces(Tolerance { ordinals: *places, ..tolerance }),
-            )),
+            Some(TruthSpec::Places(places)) => {
+                refuse_unless_synthetic("places=N", query, reference)?;
+                Ok(Self::of_rule(
+                    format!("places of the synthetic world at most {places} apart"),
+                    Kind::TruePlaces(Tolerance { ordinals: *places, ..tolerance }),
+                ))
+            }
             Some(TruthSpec::Folders) => Ok(Self::of_rule(
                 "different folders show different places; of frames of one folder nothing is said",
                 Kind::Folders,
@@ -79,7 +113,22 @@ impl TruthPlan {
             Some(TruthSpec::Strangers) => {
                 Ok(Self::of_rule("no query frame shows a place of the reference", Kind::Strangers))
             }
-            None => of_layout(tolerance, query, reference),
+            None => of_layout(named, query, reference),
+        }
+    }
+
+    /// The option that sets how far apart two frames of one place may be.
+    fn tolerance_in_use(&self) -> Option<&'static str> {
+        let of_spot = |spot: &Spot| match spot {
+            Spot::LapPhase(_) => Some("lap-tolerance"),
+            Spot::Metres(_) => Some("radius"),
+            Spot::Ordinal(_) => Some("place-tolerance"),
+            Spot::Places(_) | Spot::Unscored => None,
+        };
+        match &self.kind {
+            Kind::Spots { query, .. } => query.iter().find_map(of_spot),
+            Kind::Positions(_) => Some("radius"),
+            _ => None,
         }
     }
 
@@ -94,12 +143,20 @@ impl TruthPlan {
     /// If the sources do not know what it needs.
     pub fn complete(&self, query: &Traverse, reference: &Traverse) -> Result<GroundTruth, GroundTruthError> {
         let rule = match &self.kind {
-            Kind::Spots { query: queries, reference: references, tolerance } => Rule::Spots {
-                query: by_number(query, queries),
-                reference: by_number(reference, references),
-                tolerance: *tolerance,
-            },
-            Kind::Pairs(pairs) => Rule::Pairs(renumbered(pairs, query, reference)),
+            Kind::Spots { query: queries, reference: references, tolerance } => {
+                fits(query, queries.len())?;
+                fits(reference, references.len())?;
+                Rule::Spots {
+                    query: by_number(query, queries),
+                    reference: by_number(reference, references),
+                    tolerance: *tolerance,
+                }
+            }
+            Kind::Pairs(pairs) => {
+                fits(query, pairs.matches.len())?;
+                pairs.references.map_or(Ok(()), |references| fits(reference, references))?;
+                renumbered(pairs, query, reference)
+            }
             Kind::Ordinals(tolerance) => {
                 spots(query, reference, *tolerance, |seen| Some(Spot::Ordinal(seen.number as i64)))?
             }
@@ -135,16 +192,27 @@ fn spots(
 
 /// A number for each folder, given to its frames.
 fn by_folder(query: &Traverse, reference: &Traverse) -> Rule {
-    let mut numbers: HashMap<String, u32> = HashMap::new();
+    let mut numbers: HashMap<PathBuf, u32> = HashMap::new();
     let mut of = |traverse: &Traverse| {
         let number = |seen: &Observation| {
-            let folder = seen.name.rsplit_once('/').map_or("", |(folder, _)| folder);
+            let folder = seen.folder.canonicalize().unwrap_or_else(|_| seen.folder.clone());
             let next = numbers.len() as u32;
-            *numbers.entry(folder.to_owned()).or_insert(next)
+            *numbers.entry(folder).or_insert(next)
         };
         traverse.observations.iter().map(number).collect()
     };
     Rule::Groups { query: of(query), reference: of(reference) }
+}
+
+/// Fails unless the ground truth says something of as many frames as the traverse turned out to have.
+fn fits(traverse: &Traverse, said: usize) -> Result<(), GroundTruthError> {
+    let beyond = traverse.observations.last().is_some_and(|last| last.number >= said as u64);
+    let too_few = traverse.skipped == 0 && traverse.end < said as u64;
+    if beyond || too_few {
+        let reason = format!("it speaks of {said} frames, but {} has about {}", traverse.name, traverse.end);
+        return Err(GroundTruthError::Mismatch(reason));
+    }
+    Ok(())
 }
 
 fn by_number(traverse: &Traverse, spots: &[Spot]) -> Vec<Spot> {
@@ -153,14 +221,14 @@ fn by_number(traverse: &Traverse, spots: &[Spot]) -> Vec<Spot> {
 }
 
 /// Pairs of frame numbers as pairs of positions among the frames that were looked at.
-fn renumbered(pairs: &[Vec<u32>], query: &Traverse, reference: &Traverse) -> Vec<Vec<u32>> {
+fn renumbered(pairs: &Pairs, query: &Traverse, reference: &Traverse) -> Rule {
     let position: HashMap<u64, u32> =
         (0..).zip(&reference.observations).map(|(position, seen)| (seen.number, position)).collect();
-    let row = |seen: &Observation| -> Vec<u32> {
-        let numbers = pairs.get(seen.number as usize).into_iter().flatten();
-        numbers.filter_map(|&number| position.get(&u64::from(number)).copied()).collect()
+    let positions = |numbers: &[u32]| -> Vec<u32> {
+        numbers.iter().filter_map(|&number| position.get(&u64::from(number)).copied()).collect()
     };
-    query.observations.iter().map(row).collect()
+    let row = |seen: &Observation| pairs.matches.get(seen.number as usize)?.as_deref().map(positions);
+    Rule::Pairs { matches: query.observations.iter().map(row).collect(), unsaid: positions(&pairs.unsaid) }
 }
 
 /// SHA-256 of the file at `path`, in hexadecimal.
@@ -205,7 +273,26 @@ fn of_frame_numbers(
     ))
 }
 
-fn of_positions(tolerance: Tolerance, query: &TraversePlan, reference: Option<&TraversePlan>) -> TruthPlan {
+/// Fails unless the frames carry what only those of a synthetic world carry.
+fn refuse_unless_synthetic(
+    what: &str,
+    query: &TraversePlan,
+    reference: Option<&TraversePlan>,
+) -> Result<(), GroundTruthError> {
+    match [Some(query), reference].into_iter().flatten().find(|plan| !plan.is_synthetic()) {
+        Some(plan) => Err(GroundTruthError::Mismatch(format!(
+            "the frames of {} do not carry what {what} needs; name a table or matrix with --truth FILE",
+            plan.name
+        ))),
+        None => Ok(()),
+    }
+}
+
+fn of_positions(
+    tolerance: Tolerance,
+    query: &TraversePlan,
+    reference: Option<&TraversePlan>,
+) -> Result<TruthPlan, GroundTruthError> {
     let definition = format!("positions within {} m", tolerance.radius_metres);
     let references = reference.unwrap_or(query);
     let kind = match (&query.positions_metres, &references.positions_metres) {
@@ -213,22 +300,26 @@ fn of_positions(tolerance: Tolerance, query: &TraversePlan, reference: Option<&T
             let spots = |positions: &[[f64; 2]]| positions.iter().map(|&at| Spot::Metres(at)).collect();
             Kind::Spots { query: spots(queries), reference: spots(references), tolerance }
         }
-        _ => Kind::Positions(tolerance),
+        _ => {
+            refuse_unless_synthetic("a radius", query, reference)?;
+            Kind::Positions(tolerance)
+        }
     };
-    TruthPlan::of_rule(definition, kind)
+    Ok(TruthPlan::of_rule(definition, kind))
 }
 
 fn of_layout(
-    tolerance: Tolerance,
+    named: NamedTolerance,
     query: &TraversePlan,
     reference: Option<&TraversePlan>,
 ) -> Result<TruthPlan, GroundTruthError> {
     match (&query.rule, &query.loops) {
         (layout::Rule::Radius { metres }, _) => {
-            Ok(of_positions(Tolerance { radius_metres: *metres, ..tolerance }, query, reference))
+            let radius_metres = named.radius_metres.unwrap_or(*metres);
+            of_positions(Tolerance { radius_metres, ..named.or_default() }, query, reference)
         }
         (layout::Rule::Frames { tolerance: frames }, _) => {
-            of_frame_numbers(i64::from(*frames), tolerance, query, reference)
+            of_frame_numbers(i64::from(*frames), named.or_default(), query, reference)
         }
         (layout::Rule::Loops, Some((path, loops))) => matrix::of_matrix(path, loops, query, reference),
         _ => Err(GroundTruthError::Mismatch(format!(

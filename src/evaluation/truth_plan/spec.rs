@@ -3,6 +3,42 @@
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use crate::evaluation::ground_truth::Tolerance;
+
+/// How far apart two frames of one place may be, where it was named.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NamedTolerance {
+    /// `lap-tolerance`, as a share of a lap.
+    pub lap_share: Option<f64>,
+    /// `radius`, in metres.
+    pub radius_metres: Option<f64>,
+    /// `place-tolerance`, in place numbers.
+    pub ordinals: Option<i64>,
+}
+
+impl NamedTolerance {
+    /// What was named, the rest by default.
+    #[must_use]
+    pub fn or_default(self) -> Tolerance {
+        let defaults = Tolerance::default();
+        Tolerance {
+            lap_share: self.lap_share.unwrap_or(defaults.lap_share),
+            radius_metres: self.radius_metres.unwrap_or(defaults.radius_metres),
+            ordinals: self.ordinals.unwrap_or(defaults.ordinals),
+        }
+    }
+
+    /// The options that were named.
+    pub(super) fn names(self) -> impl Iterator<Item = &'static str> {
+        let named = [
+            self.lap_share.map(|_| "lap-tolerance"),
+            self.radius_metres.map(|_| "radius"),
+            self.ordinals.map(|_| "place-tolerance"),
+        ];
+        named.into_iter().flatten()
+    }
+}
+
 /// When two frames show the same place, as asked for.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TruthSpec {

@@ -5,14 +5,14 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use super::{Kind, TruthPlan, hash_of};
+use super::{Kind, Pairs, TruthPlan, hash_of};
 use crate::evaluation::ground_truth::{GroundTruthError, Spot, Table, TableSpots, Tolerance};
 use crate::evaluation::traverse::{Frames, TraversePlan};
 
 /// Most frames without a row that an error lists.
 const MAX_LISTED: usize = 5;
 
-/// A `.csv` file whose first line has letters is a table, not a matrix of numbers.
+/// A `.csv` file whose first line does not consist of numbers is a table, not a matrix.
 pub(super) fn is_table(path: &Path) -> Result<bool, GroundTruthError> {
     if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("csv")) {
         return Ok(false);
@@ -21,7 +21,9 @@ pub(super) fn is_table(path: &Path) -> Result<bool, GroundTruthError> {
     let mut first = Vec::new();
     let file = fs::File::open(path).map_err(read)?;
     BufReader::new(file.take(1 << 16)).read_until(b'\n', &mut first).map_err(read)?;
-    Ok(first.iter().any(u8::is_ascii_alphabetic))
+    let text = String::from_utf8_lossy(&first);
+    let mut words = text.trim_start_matches('\u{feff}').split([',', ';', ' ', '\t', '\r', '\n']);
+    Ok(words.any(|word| !word.is_empty() && word.parse::<f64>().is_err()))
 }
 
 /// The plan over the rows that the frames have in `table`.
@@ -40,26 +42,45 @@ pub(super) fn of_table(
             let reference = reference_rows.as_deref().map_or_else(|| query.clone(), pick);
             Kind::Spots { query, reference, tolerance }
         }
-        TableSpots::Earlier(earlier) => {
+        TableSpots::Earlier { rows, is_scored } => {
             let references = reference_rows.as_deref().unwrap_or(&query_rows);
-            let number: HashMap<u32, u32> =
-                (0..).zip(references).map(|(number, &row)| (row as u32, number)).collect();
-            let row = |&row: &usize| -> Vec<u32> {
-                let mut numbers: Vec<u32> =
-                    earlier[row].iter().filter_map(|row| number.get(row).copied()).collect();
-                numbers.sort_unstable();
-                numbers
-            };
-            Kind::Pairs(query_rows.iter().map(row).collect())
+            Kind::Pairs(pairs(&mutual(&rows), &is_scored, &query_rows, references))
         }
     };
     Ok(TruthPlan { definition: definition(table, &kind), sha256: hash_of(table.path())?, kind })
 }
 
+/// For each row all rows of the same place, whichever of both names the other; sorted.
+fn mutual(earlier: &[Vec<u32>]) -> Vec<Vec<u32>> {
+    let mut mutual = earlier.to_vec();
+    for (row, others) in (0_u32..).zip(earlier) {
+        others.iter().for_each(|&other| mutual[other as usize].push(row));
+    }
+    mutual.iter_mut().for_each(|row| row.sort_unstable());
+    mutual
+}
+
+/// Matching rows as matching frame numbers of the traverses that these rows make.
+fn pairs(matching: &[Vec<u32>], is_scored: &[bool], queries: &[usize], references: &[usize]) -> Pairs {
+    let number: HashMap<u32, u32> =
+        (0..).zip(references).map(|(number, &row)| (row as u32, number)).collect();
+    let numbers = |row: usize| {
+        let mut numbers: Vec<u32> = matching[row].iter().filter_map(|row| number.get(row).copied()).collect();
+        numbers.sort_unstable();
+        numbers
+    };
+    let unsaid = (0..).zip(references).filter(|&(_, &row)| !is_scored[row]).map(|(number, _)| number);
+    Pairs {
+        matches: queries.iter().map(|&row| is_scored[row].then(|| numbers(row))).collect(),
+        unsaid: unsaid.collect(),
+        references: Some(references.len()),
+    }
+}
+
 fn definition(table: &Table, kind: &Kind) -> String {
     let file = table.path().file_name().unwrap_or_default().to_string_lossy();
     let Kind::Spots { query, tolerance, .. } = kind else {
-        return format!("{file} lists the pair");
+        return format!("the pairs in {file}");
     };
     match query.iter().find(|spot| **spot != Spot::Unscored) {
         Some(Spot::LapPhase(_)) => {
@@ -102,4 +123,35 @@ fn rows_of(table: &Table, plan: &TraversePlan) -> Result<Vec<usize>, GroundTruth
         return Err(GroundTruthError::malformed(table.path(), reason));
     }
     Ok(rows.into_iter().flatten().collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pairs_hold_whichever_of_both_frames_names_the_other() {
+        // Row 2 names row 0, row 3 names rows 1 and 2.
+        let matching = mutual(&[vec![], vec![], vec![0], vec![1, 2]]);
+        assert_eq!(matching, [vec![2], vec![3], vec![0, 3], vec![1, 2]]);
+        let pairs = pairs(&matching, &[true, false, true, true], &[0, 1, 2], &[3, 1]);
+        assert_eq!(pairs.matches, [Some(vec![]), None, Some(vec![0])]);
+        assert_eq!(pairs.unsaid, [1], "row 1 is not scored");
+    }
+
+    #[test]
+    fn a_first_line_of_numbers_makes_a_matrix_and_anything_else_a_table() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("truth.csv");
+        for (text, expected) in [
+            ("0,1\n", false),
+            ("1e-3, 2E5\n", false),
+            ("\u{feff}0;1\r\n", false),
+            ("file,place\n", true),
+            ("7a\n", true),
+        ] {
+            fs::write(&path, text).unwrap();
+            assert_eq!(is_table(&path).unwrap(), expected, "{text:?}");
+        }
+    }
 }

@@ -43,6 +43,12 @@ struct Programs {
 
 const INSTALLED: Programs = Programs { ffmpeg: "ffmpeg", ffprobe: "ffprobe" };
 
+/// The version of the installed ffmpeg, if there is one.
+#[must_use]
+pub fn ffmpeg_version() -> Option<String> {
+    probe::version(INSTALLED)
+}
+
 /// Frames of a video file, in order.
 ///
 /// A frame's index is its number in the video, its time of capture the presentation time from the

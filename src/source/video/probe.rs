@@ -52,6 +52,18 @@ pub(super) fn probe(path: &Path, programs: Programs) -> Result<VideoInfo, String
     }
 }
 
+/// The version of ffmpeg, as it names itself; `None` if it does not run.
+pub(super) fn version(programs: Programs) -> Option<String> {
+    let (answer, theirs) = channel(PATIENCE).ok()?;
+    let mut command = Command::new(programs.ffmpeg);
+    command.args(["-hide_banner", "-version"]).stdin(Stdio::null()).stdout(theirs);
+    let mut process = Process::spawn(command, PATIENCE).ok()?;
+    let mut text = String::new();
+    answer.take(MAX_ANSWER_BYTES).read_to_string(&mut text).ok()?;
+    process.finish().ok()?;
+    text.strip_prefix("ffmpeg version ")?.split_whitespace().next().map(str::to_owned)
+}
+
 fn info(answer: &str) -> Result<VideoInfo, String> {
     // A stream of a transport stream is told twice, in its program and by itself.
     let value = |key: &str| {

@@ -315,3 +315,11 @@ fn a_source_that_is_dropped_early_leaves_no_process() {
     source.next_frame().unwrap().unwrap();
     assert!(!process.exists(), "nothing more is wanted of it");
 }
+
+#[test]
+fn ffmpeg_names_its_version_and_what_is_not_installed_has_none() {
+    let version = super::ffmpeg_version().expect("ffmpeg is installed for tests");
+    assert!(version.starts_with(|first: char| first.is_ascii_alphanumeric()), "{version}");
+    let absent = Programs { ffmpeg: "no-such-ffmpeg", ffprobe: "no-such-ffprobe" };
+    assert_eq!(probe::version(absent), None);
+}
