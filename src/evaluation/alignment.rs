@@ -61,6 +61,7 @@ mod tests {
     fn answers() -> Vec<Answer> {
         let answer = |reference| Answer {
             candidates: vec![Candidate { reference, place: None, probability: 0.9, reason: String::new() }],
+            confidence: 0.9,
             is_given: true,
         };
         (0..60).map(answer).collect()

@@ -10,6 +10,9 @@ pub const MAX_CANDIDATES: usize = 10;
 pub struct Answer {
     /// Candidates, the best first.
     pub candidates: Vec<Candidate>,
+    /// Confidence that the best of them is right, as the method reports it: where nothing is accepted, what
+    /// its confidence in that leaves.
+    pub confidence: f64,
     /// Whether the best one is accepted at the shipped threshold.
     pub is_given: bool,
 }
@@ -17,7 +20,7 @@ pub struct Answer {
 impl Answer {
     /// The answer over what was found: `chosen` first if something was accepted, then the likeliest, each
     /// place of a map and each frame once. What was found first goes before what is equally likely.
-    pub(super) fn new(chosen: Option<Candidate>, mut found: Vec<Candidate>) -> Self {
+    pub(super) fn new(chosen: Option<Candidate>, mut found: Vec<Candidate>, confidence: f64) -> Self {
         let is_given = chosen.is_some();
         found.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         let mut candidates: Vec<Candidate> = Vec::with_capacity(MAX_CANDIDATES);
@@ -28,7 +31,7 @@ impl Answer {
                 candidates.push(candidate);
             }
         }
-        Self { candidates, is_given }
+        Self { candidates, confidence, is_given }
     }
 }
 
@@ -39,7 +42,7 @@ pub struct Candidate {
     pub reference: usize,
     /// The place of the map that the frame belongs to, where a map is searched.
     pub place: Option<usize>,
-    /// Probability that it shows the same place.
+    /// Its own probability of showing the same place.
     pub probability: f64,
     /// Why it was accepted or not.
     pub reason: String,
@@ -78,7 +81,7 @@ mod tests {
     #[test]
     fn what_was_accepted_comes_before_what_is_likelier() {
         let found = vec![candidate(1, None, 0.2), candidate(3, None, 0.99), candidate(2, None, 0.7)];
-        let answer = Answer::new(Some(candidate(2, None, 0.7)), found);
+        let answer = Answer::new(Some(candidate(2, None, 0.7)), found, 0.7);
         assert_eq!((order(&answer), answer.is_given), (vec![2, 3, 1], true));
     }
 
@@ -90,13 +93,13 @@ mod tests {
             candidate(5, Some(7), 0.4),
             candidate(6, Some(9), 0.3),
         ];
-        let answer = Answer::new(None, found);
+        let answer = Answer::new(None, found, 0.5);
         assert_eq!((order(&answer), answer.is_given), (vec![5, 4, 6], false));
     }
 
     #[test]
     fn an_answer_lists_only_so_many() {
         let found = (0..40).map(|frame| candidate(frame, None, 0.5)).collect();
-        assert_eq!(order(&Answer::new(None, found)), (0..MAX_CANDIDATES).collect::<Vec<_>>());
+        assert_eq!(order(&Answer::new(None, found, 0.5)), (0..MAX_CANDIDATES).collect::<Vec<_>>());
     }
 }

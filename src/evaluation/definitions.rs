@@ -16,7 +16,11 @@ pub const DEFINITIONS: [(&str, &str); 16] = [
         "answers whose matched keyframe itself shows the same place / answers given; stricter than \
          precision where a place holds several keyframes",
     ),
-    ("recall_at_1", "known frames whose best candidate shows the same place / known frames; no threshold"),
+    (
+        "recall_at_1",
+        "known frames whose best candidate (the accepted one, else the likeliest) shows the same place / known frames; \
+         no threshold",
+    ),
     (
         "recall_at_5",
         "known frames with a true match among the 5 best candidates / known frames; no threshold",
@@ -28,7 +32,7 @@ pub const DEFINITIONS: [(&str, &str); 16] = [
     (
         "auc",
         "area under the precision-recall curve by steps (average precision), best candidates ranked by \
-         confidence; 95 % bootstrap interval",
+         reported confidence, known and unknown frames together; 95 % bootstrap interval",
     ),
     (
         "recall_at_full_precision",
@@ -48,18 +52,18 @@ pub const DEFINITIONS: [(&str, &str); 16] = [
     ),
     (
         "expected_calibration_error",
-        "mean distance between the confidence that the best candidate is right and how often it is, over \
-         ten bins weighted by their frames; 95 % bootstrap interval",
+        "mean distance between the reported confidence that the best candidate is right and how often it is, \
+         over ten bins weighted by their frames, known and unknown together; 95 % bootstrap interval",
     ),
     (
         "purity",
         "experiences of the reference that show the same place as the most typical one of their place / \
-         experiences",
+         experiences; not known where the ground truth lists pairs",
     ),
     ("places_founded", "places that Loci founded on the reference"),
     (
         "true_places",
         "places that the reference truly shows: frames, walked in order, that are not the same place as \
-         one chosen before",
+         one chosen before; not known where the ground truth lists pairs",
     ),
 ];

@@ -8,7 +8,7 @@ use super::answer::{Answer, Candidate, MAX_CANDIDATES};
 use super::results::Method;
 use super::traverse::{Observation, Traverse};
 use crate::cnn::ModelCard;
-use crate::recognition::{Evidence, RecognitionOptions, inlier_probability};
+use crate::recognition::{Evidence, RecognitionOptions, doubt, inlier_probability};
 use crate::retrieval::{BowVector, InvertedIndex};
 use crate::verification::{MatchingView, Verification, VerificationOptions, verify};
 use crate::vocabulary::Vocabulary;
@@ -83,7 +83,7 @@ impl<'a> FrameDatabase<'a> {
             reason: Candidate::reason(Evidence::Cnn, f64::from(cosine), f64::from(needed)),
         };
         let chosen = found.first().filter(|best| best.0 >= needed).map(candidate);
-        Answer::new(chosen, found.iter().map(candidate).collect())
+        by_best(chosen, found.iter().map(candidate).collect())
     }
 
     fn by_bow_hv(&mut self, query: &Observation, horizon: usize) -> Answer {
@@ -108,7 +108,7 @@ impl<'a> FrameDatabase<'a> {
             reason: Candidate::reason(Evidence::BowHv, f64::from(inliers), f64::from(needed)),
         };
         let chosen = found.first().filter(|best| best.0 >= needed).map(candidate);
-        Answer::new(chosen, found.iter().map(candidate).collect())
+        by_best(chosen, found.iter().map(candidate).collect())
     }
 }
 
@@ -116,11 +116,22 @@ fn bow(observation: &Observation, vocabulary: &Vocabulary) -> BowVector {
     BowVector::new(observation.look.quantised.iter().map(|quantised| quantised.word), vocabulary)
 }
 
-/// What the CNN accepts; else what geometry accepts; else the likeliest of both.
+/// The answer of one kind of evidence, whose best candidate is also the likeliest.
+fn by_best(chosen: Option<Candidate>, found: Vec<Candidate>) -> Answer {
+    let confidence = found.first().map_or(0.0, |best| best.probability);
+    Answer::new(chosen, found, confidence)
+}
+
+/// What the CNN accepts; else what geometry accepts; else the likeliest of both, with the doubt that the
+/// decision leaves.
 fn together(cnn: &Answer, bow_hv: &Answer) -> Answer {
-    let chosen = [cnn, bow_hv].into_iter().find(|answer| answer.is_given);
-    let chosen = chosen.and_then(|answer| answer.candidates.first().cloned());
-    Answer::new(chosen, cnn.candidates.iter().chain(&bow_hv.candidates).cloned().collect())
+    let given = [cnn, bow_hv].into_iter().find(|answer| answer.is_given);
+    let found = cnn.candidates.iter().chain(&bow_hv.candidates).cloned().collect();
+    let chosen = given.and_then(|answer| answer.candidates.first().cloned());
+    let likeliest = |answer: &Answer| answer.candidates.first().map(|best| best.probability as f32);
+    let doubt = || f64::from(doubt(likeliest(cnn), likeliest(bow_hv)));
+    let confidence = given.map_or_else(doubt, |answer| answer.confidence);
+    Answer::new(chosen, found, confidence)
 }
 
 #[cfg(test)]
@@ -134,7 +145,8 @@ mod tests {
             probability,
             reason: String::new(),
         };
-        Answer { candidates: candidates.iter().map(candidate).collect(), is_given }
+        let confidence = candidates[0].1;
+        Answer { candidates: candidates.iter().map(candidate).collect(), confidence, is_given }
     }
 
     fn order(answer: &Answer) -> Vec<usize> {
@@ -151,11 +163,13 @@ mod tests {
     fn what_geometry_accepts_comes_before_what_the_cnn_turned_down() {
         let both = together(&answer(&[(1, 0.8)], false), &answer(&[(3, 0.7)], true));
         assert_eq!((order(&both), both.is_given), (vec![3, 1], true));
+        assert!((both.confidence - 0.7).abs() < 1e-9);
     }
 
     #[test]
     fn where_nothing_is_accepted_the_likeliest_comes_first() {
         let both = together(&answer(&[(1, 0.2), (2, 0.1)], false), &answer(&[(3, 0.15), (1, 0.1)], false));
         assert_eq!((order(&both), both.is_given), (vec![1, 3, 2], false));
+        assert!((both.confidence - 0.15).abs() < 1e-6, "but geometry says how far to trust it");
     }
 }

@@ -21,8 +21,8 @@ pub struct Judged {
     pub is_known: bool,
     /// Whether an answer was given.
     pub is_given: bool,
-    /// Probability of the best candidate; 0 if there is none.
-    pub probability: f64,
+    /// Confidence that the best candidate is right; 0 if there is none.
+    pub confidence: f64,
     /// What the ground truth says of the best candidate's place; `Different` if there is none.
     pub best: Relation,
     /// What it says of the best candidate's keyframe itself.
@@ -113,7 +113,7 @@ impl Search<'_> {
                 asked: Asked::Query(query),
                 is_known: known[query],
                 is_given: answer.is_given,
-                probability: best.map_or(0.0, |best| best.probability),
+                confidence: answer.confidence,
                 best: relations.first().copied().unwrap_or(Relation::Different),
                 best_keyframe: best.map_or(Relation::Different, |best| self.keyframe_relation(query, best)),
                 rank: relations.iter().position(|&relation| relation == Relation::Same),
@@ -130,7 +130,7 @@ pub fn judge_strangers(answers: &[Answer]) -> Vec<Judged> {
         asked: Asked::Stranger(stranger),
         is_known: false,
         is_given: answer.is_given,
-        probability: answer.candidates.first().map_or(0.0, |best| best.probability),
+        confidence: answer.confidence,
         best: Relation::Different,
         best_keyframe: Relation::Different,
         rank: None,
@@ -159,7 +159,7 @@ mod tests {
     }
 
     fn answer(candidates: Vec<Candidate>) -> Answer {
-        Answer { candidates, is_given: true }
+        Answer { candidates, confidence: 0.9, is_given: true }
     }
 
     fn past(recent: u64) -> Vec<usize> {

@@ -104,7 +104,10 @@ impl<'a> Robot<'a> {
         };
         let is_given = matches!(recognition.decision, Decision::Recognised | Decision::Revisited);
         let chosen = recognition.candidates.iter().find(|candidate| is_given && candidate.rejected.is_none());
-        Answer::new(chosen.map(candidate), recognition.candidates.iter().map(candidate).collect())
+        let confidence = f64::from(recognition.confidence);
+        // What was decided to be no match is a match with the remaining probability.
+        let confidence = if is_given { confidence } else { 1.0 - confidence };
+        Answer::new(chosen.map(candidate), recognition.candidates.iter().map(candidate).collect(), confidence)
     }
 }
 

@@ -115,7 +115,7 @@ impl<'a> Scene<'a> {
                 query: self.observation(asked)?.name.clone(),
                 is_known: verdict.map(|verdict| verdict.is_known),
                 is_given: answer.is_given,
-                confidence: best.map_or(0.0, |best| best.probability),
+                confidence: answer.confidence,
                 reference: best.map(|best| self.reference.observations[best.reference].name.clone()),
                 place: best.and_then(|best| best.place).map(|place| place as u64),
                 is_right: verdict.filter(|_| best.is_some()).and_then(|verdict| match verdict.best {

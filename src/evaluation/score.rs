@@ -44,14 +44,14 @@ pub fn score(judged: &[Judged]) -> Score {
     let said: Vec<&Judged> = judged.iter().filter(|judged| judged.best != Relation::Unsaid).collect();
     let guesses: Vec<Guess> = said
         .iter()
-        .filter(|judged| judged.probability > 0.0)
-        .map(|judged| Guess { score: judged.probability, is_right: judged.best == Relation::Same })
+        .filter(|judged| judged.confidence > 0.0)
+        .map(|judged| Guess { score: judged.confidence, is_right: judged.best == Relation::Same })
         .collect();
     let known_count = judged.iter().filter(|judged| judged.is_known).count() as u64;
     let confidences: Vec<(f64, bool)> = guesses.iter().map(|guess| (guess.score, guess.is_right)).collect();
     let probabilities = |of_known: bool| -> Vec<f64> {
         let judged = judged.iter().filter(|judged| !is_unjudged(judged) && judged.is_known == of_known);
-        judged.map(|judged| judged.probability).collect()
+        judged.map(|judged| judged.confidence).collect()
     };
     let ranks: Vec<Option<usize>> =
         judged.iter().filter(|judged| judged.is_known).map(|judged| judged.rank).collect();
@@ -120,11 +120,11 @@ mod tests {
     fn judged(
         is_known: bool,
         is_given: bool,
-        probability: f64,
+        confidence: f64,
         best: Relation,
         rank: Option<usize>,
     ) -> Judged {
-        Judged { asked: Asked::Query(0), is_known, is_given, probability, best, best_keyframe: best, rank }
+        Judged { asked: Asked::Query(0), is_known, is_given, confidence, best, best_keyframe: best, rank }
     }
 
     /// Six frames, four of them known: two named rightly, one named wrongly, one not named; of the two

@@ -24,14 +24,15 @@ pub(super) fn mistakes(
 ) -> Vec<ImagePair> {
     let mut accepts: Vec<&Judged> =
         judged.iter().filter(|judged| judged.is_given && judged.best == Relation::Different).collect();
-    accepts.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.asked.cmp(&b.asked)));
+    accepts.sort_by(|a, b| b.confidence.total_cmp(&a.confidence).then(a.asked.cmp(&b.asked)));
     let mut misses: Vec<&Judged> =
         judged.iter().filter(|judged| judged.is_known && !judged.is_given).collect();
-    misses.sort_by(|a, b| a.probability.total_cmp(&b.probability).then(a.asked.cmp(&b.asked)));
+    misses.sort_by(|a, b| a.confidence.total_cmp(&b.confidence).then(a.asked.cmp(&b.asked)));
     let accepts = apart(scene, &accepts).into_iter().filter_map(|asked| {
-        let best = answers.of(asked)?.candidates.first()?;
-        let confidence = (best.probability, best.reason.clone());
-        pair(scene, (Mistake::FalseAccept, asked, best.reference), confidence, options)
+        let answer = answers.of(asked)?;
+        let best = answer.candidates.first()?;
+        let why = (answer.confidence, best.reason.clone());
+        pair(scene, (Mistake::FalseAccept, asked, best.reference), why, options)
     });
     let misses = apart(scene, &misses).into_iter().filter_map(|asked| miss(scene, answers, asked, options));
     accepts.chain(misses).collect()
@@ -79,8 +80,7 @@ fn miss(
             (matched, format!("not among the {found} candidates"))
         }
     };
-    let probability = answer.candidates.first().map_or(0.0, |best| best.probability);
-    pair(scene, (Mistake::Miss, asked, reference), (probability, reason), options)
+    pair(scene, (Mistake::Miss, asked, reference), (answer.confidence, reason), options)
 }
 
 fn pair(

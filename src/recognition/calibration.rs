@@ -12,3 +12,11 @@ pub fn inlier_probability(effective_inliers: u32) -> f32 {
     let (slope, offset) = INLIER_CALIBRATION;
     1.0 / (1.0 + (-(slope * effective_inliers as f32 + offset)).exp())
 }
+
+/// Probability that one of the candidates that were turned down is right all the same, from that of the
+/// likeliest of each kind. Where geometry was asked it has the last word, since it is asked about what the
+/// CNN left open.
+#[must_use]
+pub fn doubt(likeliest_by_cnn: Option<f32>, likeliest_by_bow_hv: Option<f32>) -> f32 {
+    likeliest_by_bow_hv.or(likeliest_by_cnn).unwrap_or(0.0)
+}

@@ -13,7 +13,7 @@ mod candidate;
 mod recogniser;
 mod visits;
 
-pub use calibration::inlier_probability;
+pub use calibration::{doubt, inlier_probability};
 pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
 pub use recogniser::{Look, Recogniser, RecognitionOptions};
 

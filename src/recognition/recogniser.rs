@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::appearance::AppearanceIndex;
-use super::calibration::inlier_probability;
+use super::calibration::{doubt, inlier_probability};
 use super::candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
 use super::visits::Visits;
 use super::{Decision, Recognition};
@@ -295,13 +295,12 @@ impl Recogniser {
         }
     }
 
-    /// Probability of the likeliest of the rejected candidates. Where geometry was asked it has the last
-    /// word, since it is asked about what the CNN left open.
+    /// Probability that one of the rejected candidates is right all the same.
     fn doubt(&self, candidates: &Candidates) -> f32 {
         let likeliest = |by: Evidence| {
             candidates.iter().filter(|c| c.by == by).map(|c| self.probability(c)).reduce(f32::max)
         };
-        likeliest(Evidence::BowHv).or(likeliest(Evidence::Cnn)).unwrap_or(0.0)
+        doubt(likeliest(Evidence::Cnn), likeliest(Evidence::BowHv))
     }
 
     /// Probability that a candidate shows the same place; the place we are in raises no doubt.
