@@ -72,6 +72,19 @@ fn real_corridor_is_recognised_on_its_second_lap() {
     assert_eq!(tally.frames, 44);
     assert!(tally.precision() >= 0.95, "{tally:?}");
     assert!(tally.recall() >= 0.75, "{tally:?}");
+    assert_eq!(evaluated(&folder), (tally.named as u64, tally.right as u64, tally.frames as u64));
+}
+
+/// Answers, right ones and known frames as `loci evaluate` counts them, from the map along a sequence.
+fn evaluated(folder: &Path) -> (u64, u64, u64) {
+    let truth = folder.join("ground_truth.csv");
+    let methods = ["--methods", "cnn+bow_hv", "--databases", "map", "--json"];
+    let run = loci(&[&["evaluate", text(folder), "--truth", text(&truth)], &methods[..]].concat());
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let report: Value = serde_json::from_str(&run.stdout).unwrap();
+    let figures = &report["experiments"][0]["results"][0]["figures"];
+    let count = |figure: &str, field: &str| figures[figure][field].as_u64().unwrap();
+    (count("precision", "n"), count("recall", "successes"), count("recall", "n"))
 }
 
 /// An answer is right when the place it names was seen within ±5 % of a lap. Noted without a target.
