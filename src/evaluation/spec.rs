@@ -114,8 +114,11 @@ impl Suite {
         }
         let bytes = file::read(path, MAX_SUITE_BYTES)?;
         let text = std::str::from_utf8(&bytes).map_err(|_| error("it is no text"))?;
-        let suite: Self = toml::from_str(text)
-            .map_err(|source| error(&source.message().split_whitespace().collect::<Vec<_>>().join(" ")))?;
+        let suite: Self = toml::from_str(text).map_err(|source| {
+            let line = 1 + text[..source.span().map_or(0, |span| span.start)].matches('\n').count();
+            let reason = source.message().split_whitespace().collect::<Vec<_>>().join(" ");
+            error(&format!("line {line}: {reason}"))
+        })?;
         Ok(Self { data: path.parent().unwrap_or(Path::new("")).join(suite.data), ..suite })
     }
 
@@ -415,7 +418,7 @@ mod tests {
         let path = folder.path().join("suite.toml");
         fs::write(&path, "data = 'd'\n[[experiment]]\nname = 'x'\nframes = { qeury = 'a' }\n").unwrap();
         let message = Suite::read(&path).unwrap_err().to_string();
-        assert!(message.contains("unknown field `qeury`"), "{message}");
+        assert!(message.contains("line 4: unknown field `qeury`"), "{message}");
         fs::write(&path, "data = 'd'\n[[experiment]]\nname = 'x'\n").unwrap();
         let message = Suite::read(&path).unwrap().plans(None).unwrap_err().to_string();
         assert!(message.contains(&folder.path().join("d").display().to_string()), "{message}");

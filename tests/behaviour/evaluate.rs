@@ -155,6 +155,7 @@ fn what_makes_no_sense_is_refused_before_any_frame_is_looked_at() {
         .assert_failed(2, &["x.html", "twice"]);
     let run = loci(&["evaluate", "--suite", "--radius", "5"]);
     assert!(run.code == 2 && run.stderr.contains("--radius"), "{}", run.stderr);
+    loci(&["evaluate", world, "--data", "/tmp"]).assert_failed(2, &["--data", "--suite"]);
     loci(&["evaluate", "--suite", "/nowhere.toml"]).assert_failed(1, &["/nowhere.toml", "--suite FILE.toml"]);
     loci(&["evaluate", "--suite", "--data", "/nowhere"]).assert_failed(2, &["/nowhere", "LOCI_DATA"]);
     loci(&["evaluate", "/nowhere", "--truth", "none"]).assert_failed(1, &["/nowhere"]);

@@ -123,7 +123,7 @@ pub(super) struct OutputArguments {
           conflicts_with_all = EXPERIMENT)]
     pub(super) suite: Option<PathBuf>,
     /// Folder that the paths of a suite start from [env: LOCI_DATA=] [default: what the suite says]
-    #[arg(long, value_name = "DIR", requires = "suite")]
+    #[arg(long, value_name = "DIR")]
     pub(super) data: Option<PathBuf>,
     /// Write the Markdown to this file
     #[arg(long, value_name = "FILE.md")]

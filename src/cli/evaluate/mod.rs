@@ -45,6 +45,9 @@ fn plans(
     settings: &StreamSettings,
 ) -> anyhow::Result<(Vec<ExperimentPlan>, Option<Asset>)> {
     let Some(path) = &arguments.output.suite else {
+        if arguments.output.data.is_some() {
+            return Err(WrongArgument("--data is about a --suite, and none is given".to_owned()).into());
+        }
         let specs = arguments.specs(settings.sample_interval)?;
         let plans = specs.iter().map(|spec| spec.plan(Path::new("")).map_err(wrong_argument));
         return Ok((plans.collect::<Result<_, _>>()?, None));

@@ -74,7 +74,7 @@ impl TruthPlan {
         };
         match named.names().find(|&name| Some(name) != in_use) {
             Some(name) => Err(GroundTruthError::Mismatch(format!(
-                "{name} has no meaning where {} decides; leave it out",
+                "{name} would change nothing, since what counts is {}; leave it out",
                 plan.definition
             ))),
             None => Ok(plan),
