@@ -368,8 +368,9 @@ impl FramesSpec {
 
     fn layout_options(&self) -> Result<LayoutOptions, EvaluationError> {
         let camera = match self.camera.as_deref() {
-            None | Some("left") => Camera::Left,
-            Some("right") => Camera::Right,
+            None => None,
+            Some("left") => Some(Camera::Left),
+            Some("right") => Some(Camera::Right),
             Some(other) => {
                 let reason = format!("no camera '{other}'; there are left and right");
                 return Err(EvaluationError::Wrong(reason));

@@ -2,15 +2,15 @@
 //! place. HTMap, iBoW-LCD and FAB-MAP publish them as MATLAB files, others as text or NumPy arrays;
 //! VPR-Bench lists the reference frames of each query instead.
 
-use std::fs;
 use std::path::Path;
 
 use super::error::GroundTruthError;
+use super::file;
 use super::mat::{self, MatMatrix};
 use super::npy::{self, Npy};
 
-/// Largest file that is read, in bytes.
-const MAX_BYTES: u64 = 1 << 30;
+/// Most pairs of one place that a matrix may have: a hundred for each frame of the longest known sequences.
+pub(super) const MAX_PAIRS: usize = 16 << 20;
 /// What variables that hold the ground truth are called, in published files.
 const NAMES: [&str; 5] = ["truth", "gt", "gt_loops", "groundtruth", "ground_truth"];
 
@@ -28,61 +28,52 @@ impl LoopMatrix {
     /// # Errors
     /// If it cannot be read or is none; the error says which rows.
     pub fn read(path: &Path) -> Result<Self, GroundTruthError> {
-        let length = fs::metadata(path).map_err(|error| GroundTruthError::read(path, error))?.len();
         let malformed = |reason: String| GroundTruthError::malformed(path, reason);
-        if length > MAX_BYTES {
-            return Err(malformed(format!("{length} bytes are more than the {MAX_BYTES} that are read")));
-        }
-        let bytes = fs::read(path).map_err(|error| GroundTruthError::read(path, error))?;
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         match extension.as_str() {
-            "txt" | "csv" => Self::of_text(path, &bytes),
-            "mat" => Self::of_mat(mat::read(&bytes).map_err(malformed)?).map_err(malformed),
-            "npy" => Ok(match npy::read(&bytes).map_err(malformed)? {
-                Npy::Lists(matches) => Self { columns: None, matches },
-                Npy::Dense(rows) => Self::of_rows(rows.first().map_or(0, Vec::len), &rows),
-            }),
+            "txt" | "csv" => Self::of_text(path, &file::read_text(path, file::MAX_MATRIX_BYTES)?),
+            "mat" => {
+                let bytes = file::read(path, file::MAX_MATRIX_BYTES)?;
+                Self::of_mat(mat::read(&bytes).map_err(malformed)?).map_err(malformed)
+            }
+            "npy" => {
+                let bytes = file::read(path, file::MAX_MATRIX_BYTES)?;
+                Ok(match npy::read(&bytes).map_err(malformed)? {
+                    Npy::Lists(matches) => Self { columns: None, matches },
+                    Npy::Dense { columns, matches } => Self { columns: Some(columns), matches },
+                })
+            }
             _ => Err(malformed("no ground truth; it should be .csv, .txt, .mat or .npy".to_owned())),
         }
     }
 
-    fn of_rows(columns: usize, rows: &[Vec<f64>]) -> Self {
-        let matches = |row: &Vec<f64>| -> Vec<u32> {
-            (0..).zip(row).filter(|(_, value)| **value != 0.0).map(|(column, _)| column).collect()
-        };
-        Self { columns: Some(columns), matches: rows.iter().map(matches).collect() }
-    }
-
-    fn of_text(path: &Path, bytes: &[u8]) -> Result<Self, GroundTruthError> {
-        let text = String::from_utf8_lossy(bytes);
-        let mut rows = Vec::new();
-        let mut lines = Vec::new();
-        let mut wrong = Vec::new();
+    fn of_text(path: &Path, text: &str) -> Result<Self, GroundTruthError> {
+        let (mut columns, mut pairs) = (None, 0);
+        let (mut matches, mut wrong, mut ragged) = (Vec::new(), Vec::new(), Vec::new());
         for (line, text) in (1..).zip(text.lines()).filter(|(_, text)| !text.trim().is_empty()) {
-            let words = text.split([' ', '\t', ',', ';']).filter(|word| !word.is_empty());
-            let numbers = words.map(|word| word.parse::<f64>().ok().filter(|number| number.is_finite()));
-            match numbers.collect::<Option<Vec<f64>>>() {
-                Some(row) => (rows.push(row), lines.push(line)),
-                None => (wrong.push(line), ()),
+            let Some((row, length)) = row_of_text(text) else {
+                wrong.push(line);
+                continue;
             };
+            if *columns.get_or_insert(length) != length {
+                ragged.push(line);
+            }
+            pairs += row.len();
+            if pairs > MAX_PAIRS {
+                return Err(GroundTruthError::malformed(path, too_many_pairs()));
+            }
+            matches.push(row);
         }
+        let columns = columns.unwrap_or(0);
         if !wrong.is_empty() {
-            return Err(GroundTruthError::rows(path, wrong, "not all of it are numbers"));
+            Err(GroundTruthError::rows(path, wrong, "not all of it are numbers"))
+        } else if columns == 0 {
+            Err(GroundTruthError::malformed(path, "it holds no numbers"))
+        } else if !ragged.is_empty() {
+            Err(GroundTruthError::rows(path, ragged, format!("not {columns} numbers as in the first row")))
+        } else {
+            Ok(Self { columns: Some(columns), matches })
         }
-        let columns = rows.first().map_or(0, Vec::len);
-        if columns == 0 {
-            return Err(GroundTruthError::malformed(path, "it holds no numbers"));
-        }
-        let ragged = rows.iter().zip(&lines).filter(|(row, _)| row.len() != columns).map(|(_, &line)| line);
-        let ragged: Vec<u64> = ragged.collect();
-        if !ragged.is_empty() {
-            return Err(GroundTruthError::rows(
-                path,
-                ragged,
-                format!("not {columns} numbers as in the first row"),
-            ));
-        }
-        Ok(Self::of_rows(columns, &rows))
     }
 
     fn of_mat(matrices: Vec<MatMatrix>) -> Result<Self, String> {
@@ -92,14 +83,15 @@ impl LoopMatrix {
         if candidates.len() > 1 {
             candidates.retain(|matrix| NAMES.contains(&matrix.name.to_ascii_lowercase().as_str()));
         }
-        let [matrix] = candidates.as_slice() else {
+        let [matrix] = candidates.as_mut_slice() else {
             return Err(format!(
                 "which of its variables is the loop matrix? It has {}; call it truth",
                 if names.is_empty() { "no matrix".to_owned() } else { names.join(", ") }
             ));
         };
         let mut matches = vec![Vec::new(); matrix.rows];
-        for &(row, column) in &matrix.nonzero {
+        let nonzero = std::mem::replace(&mut matrix.nonzero, Ok(Vec::new()));
+        for (row, column) in nonzero.map_err(|reason| format!("{}: {reason}", matrix.name))? {
             matches[row as usize].push(column);
         }
         matches.iter_mut().for_each(|row| row.sort_unstable());
@@ -136,8 +128,27 @@ impl LoopMatrix {
     }
 }
 
+/// The columns of a line that are not zero, and how many numbers it has; `None` if not all are numbers.
+fn row_of_text(text: &str) -> Option<(Vec<u32>, usize)> {
+    let (mut row, mut length) = (Vec::new(), 0);
+    for word in text.split([' ', '\t', ',', ';']).filter(|word| !word.is_empty()) {
+        let number = word.parse::<f64>().ok().filter(|number| number.is_finite())?;
+        if number != 0.0 {
+            row.push(u32::try_from(length).ok()?);
+        }
+        length += 1;
+    }
+    Some((row, length))
+}
+
+pub(super) fn too_many_pairs() -> String {
+    format!("it has more than {MAX_PAIRS} pairs of one place; is it the right matrix?")
+}
+
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn read(name: &str, content: &str) -> Result<LoopMatrix, String> {
@@ -155,7 +166,13 @@ mod tests {
 
     #[test]
     fn text_is_read_however_it_is_separated() {
-        for text in ["0 0 1\n1 0 0\n", "0,0,1\n1,0,0", "0\t0\t1\r\n1\t0\t0\r\n\n", "0.0 0 2e0\n1 0 0\n"] {
+        for text in [
+            "\u{feff}0 0 1\n1 0 0\n",
+            "0 0 1\n1 0 0\n",
+            "0,0,1\n1,0,0",
+            "0\t0\t1\r\n1\t0\t0\r\n\n",
+            "0.0 0 2e0\n1 0 0\n",
+        ] {
             let matrix = read("loops.txt", text).unwrap();
             assert_eq!((matrix.rows(), matrix.columns()), (2, Some(3)), "{text:?}");
             assert_eq!([matrix.matches(0), matrix.matches(1), matrix.matches(2)], [&[2][..], &[0], &[]]);
@@ -186,6 +203,10 @@ mod tests {
         }
         let lists = fixture("lists.npy").unwrap();
         assert_eq!((lists.rows(), lists.columns(), lists.matches(1)), (3, None, &[1, 2][..]));
+        let message = fixture("nan.npy").unwrap_err();
+        assert!(message.contains("query frame 1, counted from 0, has a NaN"), "{message}");
+        let message = fixture("nan.mat").unwrap_err();
+        assert!(message.contains("query frame 2, counted from 0, has a NaN"), "{message}");
         let message = fixture("several.mat").unwrap_err();
         assert!(message.contains("It has here, there; call it truth"), "{message}");
     }

@@ -8,8 +8,12 @@ use std::io::Read;
 
 use flate2::read::ZlibDecoder;
 
-/// Most bytes that one compressed variable may unpack to.
-const MAX_UNPACKED_BYTES: u64 = 1 << 30;
+use super::loop_matrix::{MAX_PAIRS, too_many_pairs};
+
+/// Most bytes that all compressed variables of a file together may unpack to.
+const MAX_UNPACKED_BYTES: u64 = 512 << 20;
+/// Most rows or columns of a matrix: a million frames.
+const MAX_FRAMES: usize = 1 << 20;
 const HEADER_BYTES: usize = 128;
 const TYPE_MATRIX: u32 = 14;
 const TYPE_COMPRESSED: u32 = 15;
@@ -24,10 +28,10 @@ pub(super) struct MatMatrix {
     pub(super) rows: usize,
     /// Number of columns.
     pub(super) columns: usize,
-    /// Row and column of every element that is not zero, by columns.
-    pub(super) nonzero: Vec<(u32, u32)>,
-    /// The elements by columns, where they were all stored.
-    pub(super) dense: Option<Vec<f64>>,
+    /// Row and column of every element that is not zero, by columns; or why it is no loop matrix.
+    pub(super) nonzero: Result<Vec<(u32, u32)>, String>,
+    /// The elements by columns, of a full matrix of two rows or columns.
+    pub(super) pairs: Option<Vec<f64>>,
 }
 
 /// The matrices in the bytes of a file; other variables are left out.
@@ -42,20 +46,14 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<MatMatrix>, String> {
         _ => return Err("it is no MATLAB 5 file; save it with -v7".to_owned()),
     };
     let mut matrices = Vec::new();
+    let mut unpacked_left = MAX_UNPACKED_BYTES;
     let mut rest = Elements { bytes: &bytes[HEADER_BYTES..], endian };
     while let Some(element) = rest.next()? {
         match element.kind {
             TYPE_MATRIX => matrices.extend(matrix(element.bytes, endian)?),
             TYPE_COMPRESSED => {
-                let mut unpacked = Vec::new();
-                let decoder = ZlibDecoder::new(element.bytes).take(MAX_UNPACKED_BYTES + 1);
-                let mut decoder = decoder;
-                decoder
-                    .read_to_end(&mut unpacked)
-                    .map_err(|error| format!("a variable cannot be unpacked: {error}"))?;
-                if unpacked.len() as u64 > MAX_UNPACKED_BYTES {
-                    return Err(format!("a variable unpacks to more than {MAX_UNPACKED_BYTES} bytes"));
-                }
+                let unpacked = unpack(element.bytes, unpacked_left)?;
+                unpacked_left -= unpacked.len() as u64;
                 let mut inside = Elements { bytes: &unpacked, endian };
                 if let Some(element) = inside.next()?.filter(|element| element.kind == TYPE_MATRIX) {
                     matrices.extend(matrix(element.bytes, endian)?);
@@ -63,8 +61,26 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<MatMatrix>, String> {
             }
             _ => {}
         }
+        let pairs = matrices.iter().filter_map(|matrix| matrix.nonzero.as_ref().ok()).map(Vec::len);
+        if pairs.sum::<usize>() > MAX_PAIRS {
+            return Err(too_many_pairs());
+        }
     }
     Ok(matrices)
+}
+
+/// What a compressed variable unpacks to, if that is not more than `most_bytes`.
+fn unpack(bytes: &[u8], most_bytes: u64) -> Result<Vec<u8>, String> {
+    let mut unpacked = Vec::new();
+    ZlibDecoder::new(bytes)
+        .take(most_bytes + 1)
+        .read_to_end(&mut unpacked)
+        .map_err(|error| format!("a variable cannot be unpacked: {error}"))?;
+    if unpacked.len() as u64 > most_bytes {
+        let most = MAX_UNPACKED_BYTES >> 20;
+        return Err(format!("it unpacks to more than {most} MiB; save the loop matrix alone"));
+    }
+    Ok(unpacked)
 }
 
 #[derive(Clone, Copy)]
@@ -122,24 +138,46 @@ impl<'a> Elements<'a> {
     }
 }
 
-/// The numbers of an element of a numeric type.
-fn numbers(element: &Element<'_>, endian: Endian) -> Result<Vec<f64>, String> {
-    let of = |width: usize, convert: fn(u64) -> f64| -> Vec<f64> {
-        element.bytes.chunks_exact(width).map(|bytes| convert(endian.unsigned(bytes))).collect()
-    };
-    Ok(match element.kind {
-        1 => of(1, |bits| f64::from(bits as u8 as i8)),
-        2 => of(1, |bits| bits as f64),
-        3 => of(2, |bits| f64::from(bits as u16 as i16)),
-        4 => of(2, |bits| bits as f64),
-        5 => of(4, |bits| f64::from(bits as u32 as i32)),
-        6 => of(4, |bits| bits as f64),
-        7 => of(4, |bits| f64::from(f32::from_bits(bits as u32))),
-        9 => of(8, f64::from_bits),
-        12 => of(8, |bits| bits as i64 as f64),
-        13 => of(8, |bits| bits as f64),
-        other => return Err(format!("data of type {other} are not numbers")),
-    })
+/// The numbers of an element, converted one by one: all at once they may take eight times its bytes.
+#[derive(Clone, Copy)]
+struct Numbers<'a> {
+    bytes: &'a [u8],
+    endian: Endian,
+    width: usize,
+    convert: fn(u64) -> f64,
+}
+
+impl<'a> Numbers<'a> {
+    fn of(element: &Element<'a>, endian: Endian) -> Result<Self, String> {
+        let (width, convert): (usize, fn(u64) -> f64) = match element.kind {
+            1 => (1, |bits| f64::from(bits as u8 as i8)),
+            2 => (1, |bits| bits as f64),
+            3 => (2, |bits| f64::from(bits as u16 as i16)),
+            4 => (2, |bits| bits as f64),
+            5 => (4, |bits| f64::from(bits as u32 as i32)),
+            6 => (4, |bits| bits as f64),
+            7 => (4, |bits| f64::from(f32::from_bits(bits as u32))),
+            9 => (8, f64::from_bits),
+            12 => (8, |bits| bits as i64 as f64),
+            13 => (8, |bits| bits as f64),
+            other => return Err(format!("data of type {other} are not numbers")),
+        };
+        Ok(Self { bytes: element.bytes, endian, width, convert })
+    }
+
+    fn len(&self) -> usize {
+        self.bytes.len() / self.width
+    }
+
+    fn get(&self, index: usize) -> Option<f64> {
+        let start = index.checked_mul(self.width)?;
+        let bytes = self.bytes.get(start..start.checked_add(self.width)?)?;
+        Some((self.convert)(self.endian.unsigned(bytes)))
+    }
+
+    fn iter(self) -> impl Iterator<Item = f64> + 'a {
+        self.bytes.chunks_exact(self.width).map(move |bytes| (self.convert)(self.endian.unsigned(bytes)))
+    }
 }
 
 /// The matrix in an element's bytes; `None` for variables of another class or with more dimensions.
@@ -151,56 +189,69 @@ fn matrix(bytes: &[u8], endian: Endian) -> Result<Option<MatMatrix>, String> {
     if !(CLASS_SPARSE..=15).contains(&class) {
         return Ok(None);
     }
-    let sizes = numbers(&parts.expect()?, endian)?;
+    let sizes: Vec<f64> = Numbers::of(&parts.expect()?, endian)?.iter().take(3).collect();
     let &[rows, columns] = sizes.as_slice() else { return Ok(None) };
-    let size = |size: f64| (0.0..=f64::from(u32::MAX)).contains(&size).then_some(size as usize);
-    let (rows, columns) = size(rows).zip(size(columns)).ok_or("a matrix has an impossible size")?;
+    let size = |size: f64| (0.0..=MAX_FRAMES as f64).contains(&size).then_some(size as usize);
     let name = String::from_utf8_lossy(parts.expect()?.bytes).into_owned();
-    let (nonzero, dense) = if class == CLASS_SPARSE {
-        let (row_indices, column_starts) =
-            (numbers(&parts.expect()?, endian)?, numbers(&parts.expect()?, endian)?);
-        let values = numbers(&parts.expect()?, endian)?;
-        (
-            sparse(&row_indices, &column_starts, &values, (rows, columns))
-                .map_err(|reason| format!("{name} {reason}"))?,
-            None,
-        )
-    } else {
-        let values = numbers(&parts.expect()?, endian)?;
-        if Some(values.len()) != rows.checked_mul(columns) {
-            return Err(format!("{name} has {} elements, not {rows} × {columns}", values.len()));
-        }
-        (positions(&values, rows), Some(values))
-    };
-    Ok(Some(MatMatrix { name, rows, columns, nonzero, dense }))
+    let too_large = || format!("{name} has {rows} × {columns} elements, more than {MAX_FRAMES} in a row");
+    let (rows, columns) = size(rows).zip(size(columns)).ok_or_else(too_large)?;
+    let mut numbers = || Numbers::of(&parts.expect()?, endian);
+    if class == CLASS_SPARSE {
+        let (row_indices, column_starts, values) = (numbers()?, numbers()?, numbers()?);
+        let nonzero = sparse(row_indices, column_starts, values, (rows, columns));
+        return Ok(Some(MatMatrix { name, rows, columns, nonzero, pairs: None }));
+    }
+    let values = numbers()?;
+    if Some(values.len()) != rows.checked_mul(columns) {
+        return Err(format!("{name} has {} elements, not {rows} × {columns}", values.len()));
+    }
+    let has_pairs = rows == 2 || columns == 2;
+    let pairs = has_pairs.then(|| values.iter().collect());
+    Ok(Some(MatMatrix { name, rows, columns, nonzero: positions(values, rows), pairs }))
 }
 
-fn positions(values: &[f64], rows: usize) -> Vec<(u32, u32)> {
-    let nonzero = values.iter().enumerate().filter(|(_, value)| **value != 0.0);
-    nonzero.map(|(index, _)| ((index % rows) as u32, (index / rows) as u32)).collect()
+fn positions(values: Numbers<'_>, rows: usize) -> Result<Vec<(u32, u32)>, String> {
+    let mut nonzero = Vec::new();
+    for (index, value) in values.iter().enumerate().filter(|(_, value)| *value != 0.0) {
+        push(&mut nonzero, ((index % rows) as u32, (index / rows) as u32), value)?;
+    }
+    Ok(nonzero)
+}
+
+fn push(nonzero: &mut Vec<(u32, u32)>, at: (u32, u32), value: f64) -> Result<(), String> {
+    if value.is_nan() {
+        return Err(format!("query frame {}, counted from 0, has a NaN; it should have 0 or 1", at.0));
+    }
+    if nonzero.len() == MAX_PAIRS {
+        return Err(too_many_pairs());
+    }
+    nonzero.push(at);
+    Ok(())
 }
 
 /// The positions of a sparse matrix: rows of all elements, and for each column where its own begin.
 fn sparse(
-    row_indices: &[f64],
-    column_starts: &[f64],
-    values: &[f64],
+    row_indices: Numbers<'_>,
+    column_starts: Numbers<'_>,
+    values: Numbers<'_>,
     (rows, columns): (usize, usize),
 ) -> Result<Vec<(u32, u32)>, String> {
-    if column_starts.len() != columns + 1 || column_starts.windows(2).any(|pair| pair[0] > pair[1]) {
-        return Err("has no start for every column".to_owned());
+    if column_starts.len() != columns + 1 {
+        return Err("it has no start for every column".to_owned());
     }
     let mut nonzero = Vec::new();
-    for (column, bounds) in column_starts.windows(2).enumerate() {
-        let (first, last) = (bounds[0] as usize, bounds[1] as usize);
-        let indices = row_indices.get(first..last).ok_or("has a column that reaches beyond its elements")?;
-        for (offset, &row) in indices.iter().enumerate() {
-            if row < 0.0 || row as usize >= rows {
-                return Err(format!("has an element in row {row} of {rows}"));
-            }
+    for (column, (first, last)) in column_starts.iter().zip(column_starts.iter().skip(1)).enumerate() {
+        if !(0.0 <= first && first <= last && last <= row_indices.len() as f64) {
+            return Err(format!("column {column} reaches beyond its elements"));
+        }
+        for element in first as usize..last as usize {
+            let row = row_indices.get(element).filter(|row| (0.0..rows as f64).contains(row));
+            let row =
+                row.ok_or_else(|| format!("column {column} has an element in none of the {rows} rows"))?;
             // A pattern without values counts as all ones.
-            if values.get(first + offset).is_none_or(|value| *value != 0.0) {
-                nonzero.push((row as u32, column as u32));
+            let value = values.get(element).unwrap_or(1.0);
+            if value != 0.0 {
+                push(&mut nonzero, (row as u32, column as u32), value)?;
             }
         }
     }
@@ -226,7 +277,7 @@ mod tests {
             let matrices = read(&fixture(name)).unwrap();
             let truth = matrices.iter().find(|matrix| matrix.name == "truth").expect(name);
             assert_eq!((truth.rows, truth.columns), (4, 5), "{name}");
-            let mut nonzero = truth.nonzero.clone();
+            let mut nonzero = truth.nonzero.clone().unwrap();
             nonzero.sort_by_key(|&(row, column)| (column, row));
             assert_eq!(nonzero, NONZERO, "{name}");
         }
@@ -237,6 +288,25 @@ mod tests {
         assert!(read(b"MATLAB 7.3 MAT-file, Platform").unwrap_err().contains("save it again with -v7"));
         assert!(read(&[0; 200]).unwrap_err().contains("no MATLAB 5 file"));
         assert!(read(b"short").unwrap_err().contains("too short"));
+    }
+
+    #[test]
+    fn a_small_file_that_unpacks_to_a_large_one_is_given_up() {
+        let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
+        std::io::Write::write_all(&mut encoder, &[0; 1000]).unwrap();
+        let packed = encoder.finish().unwrap();
+        assert_eq!(unpack(&packed, 1000).unwrap(), [0; 1000]);
+        assert!(unpack(&packed, 999).unwrap_err().contains("save the loop matrix alone"));
+    }
+
+    #[test]
+    fn a_sparse_matrix_of_more_frames_than_there_are_is_refused() {
+        let mut bytes = fixture("sparse.mat");
+        // Eight bytes of sizes: 4 × 5.
+        let sizes = [8, 0, 0, 0, 4, 0, 0, 0, 5, 0, 0, 0];
+        let at = 4 + bytes.windows(12).position(|window| window == sizes).expect("its sizes");
+        bytes[at..at + 4].copy_from_slice(&0x7FFF_FFFF_u32.to_le_bytes());
+        assert!(read(&bytes).unwrap_err().contains("2147483647 × 5 elements, more than 1048576 in a row"));
     }
 
     proptest! {

@@ -3,13 +3,19 @@
 //!
 //! Format: NumPy, NEP 1.
 
+use super::loop_matrix::{MAX_PAIRS, too_many_pairs};
 use super::pickle::{Pickle, Value, ValueId};
 
 /// What such a file may hold.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Npy {
-    /// Rows of a matrix of numbers.
-    Dense(Vec<Vec<f64>>),
+    /// A matrix of numbers.
+    Dense {
+        /// How many stand in a row.
+        columns: usize,
+        /// For each row the columns that are not zero.
+        matches: Vec<Vec<u32>>,
+    },
     /// For each query, by index, its reference indices.
     Lists(Vec<Vec<u32>>),
 }
@@ -23,7 +29,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Npy, String> {
         return Err("it is stored by columns; save it with order='C'".to_owned());
     }
     let shape = shape(header)?;
-    if kind == "|O" { lists(body, &shape).map(Npy::Lists) } else { dense(body, kind, &shape).map(Npy::Dense) }
+    if kind == "|O" { lists(body, &shape).map(Npy::Lists) } else { dense(body, kind, &shape) }
 }
 
 /// The header and what follows it.
@@ -54,7 +60,7 @@ fn shape(header: &str) -> Result<Vec<usize>, String> {
     sizes.map(|size| size.parse().map_err(|_| format!("its shape {text} makes no sense"))).collect()
 }
 
-fn dense(body: &[u8], kind: &str, shape: &[usize]) -> Result<Vec<Vec<f64>>, String> {
+fn dense(body: &[u8], kind: &str, shape: &[usize]) -> Result<Npy, String> {
     let &[rows, columns] = shape else { return Err(format!("it has {} dimensions, not 2", shape.len())) };
     let unsigned = |bytes: &[u8]| bytes.iter().rev().fold(0_u64, |bits, byte| bits << 8 | u64::from(*byte));
     let (width, convert): (usize, fn(u64) -> f64) = match kind {
@@ -74,11 +80,25 @@ fn dense(body: &[u8], kind: &str, shape: &[usize]) -> Result<Vec<Vec<f64>>, Stri
     if expected != Some(body.len()) {
         return Err(format!("it has {} bytes for {rows} × {columns} numbers of {width} bytes", body.len()));
     }
-    if columns == 0 {
-        return Err("it has no columns".to_owned());
+    if rows == 0 || columns == 0 {
+        return Err(format!("it has {rows} × {columns} numbers: nothing"));
     }
-    let row = |row: &[u8]| row.chunks_exact(width).map(|bytes| convert(unsigned(bytes))).collect();
-    Ok(body.chunks_exact(columns * width).map(row).collect())
+    let mut matches = Vec::with_capacity(rows);
+    let mut pairs = 0;
+    for (row, bytes) in body.chunks_exact(columns * width).enumerate() {
+        let numbers = || bytes.chunks_exact(width).map(|bytes| convert(unsigned(bytes)));
+        if numbers().any(f64::is_nan) {
+            return Err(format!("query frame {row}, counted from 0, has a NaN; it should have 0 or 1"));
+        }
+        let row: Vec<u32> =
+            (0..).zip(numbers()).filter(|(_, value)| *value != 0.0).map(|(at, _)| at).collect();
+        pairs += row.len();
+        if pairs > MAX_PAIRS {
+            return Err(too_many_pairs());
+        }
+        matches.push(row);
+    }
+    Ok(Npy::Dense { columns, matches })
 }
 
 /// The reference indices of every query. Queries may stand in any order, each once.
@@ -96,15 +116,21 @@ fn lists(body: &[u8], shape: &[usize]) -> Result<Vec<Vec<u32>>, String> {
         return Err(format!("it has {} cells for {rows} rows of 2", cells.len()));
     }
     let mut lists: Vec<Option<Vec<u32>>> = vec![None; rows];
+    let mut pairs = 0;
     for (row, cells) in cells.chunks_exact(2).enumerate() {
-        let query = index(&pickle, cells[0]).ok_or_else(|| format!("row {row}: its query is no index"))?;
-        let list =
-            indices(&pickle, cells[1]).ok_or_else(|| format!("row {row}: its references are no indices"))?;
+        let query = index(&pickle, cells[0])
+            .ok_or_else(|| format!("row {row}, counted from 0: its query is no index"))?;
+        let list = indices(&pickle, cells[1])
+            .ok_or_else(|| format!("row {row}, counted from 0: its references are no indices"))?;
+        pairs += list.len();
+        if pairs > MAX_PAIRS {
+            return Err(too_many_pairs());
+        }
         let slot = lists.get_mut(query as usize).ok_or_else(|| {
-            format!("row {row}: query {query} of {rows}; queries are counted from 0, a row each")
+            format!("row {row}, counted from 0: query {query} of {rows}; queries too are counted from 0, a row each")
         })?;
         if slot.replace(list).is_some() {
-            return Err(format!("row {row}: query {query} has an earlier row already"));
+            return Err(format!("row {row}, counted from 0: query {query} has an earlier row already"));
         }
     }
     Ok(lists.into_iter().flatten().collect())
@@ -198,21 +224,40 @@ mod tests {
     #[test]
     fn matrices_of_every_type_are_read() {
         for name in ["bool.npy", "float.npy", "int64.npy"] {
-            let Ok(Npy::Dense(rows)) = read(&fixture(name)) else { panic!("{name}") };
-            assert_eq!(rows, [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], "{name}");
+            let expected = Npy::Dense { columns: 3, matches: vec![vec![2], vec![0]] };
+            assert_eq!(read(&fixture(name)), Ok(expected), "{name}");
         }
     }
 
     #[test]
     fn rows_that_make_no_sense_are_named() {
         let message = |name| read(&fixture(name)).unwrap_err();
-        assert!(message("twice.npy").contains("row 2: query 1 has an earlier row already"));
-        assert!(message("one_based.npy").contains("row 2: query 3 of 3"));
-        assert!(message("negative.npy").contains("row 1: its references are no indices"));
+        assert!(message("twice.npy").contains("row 2, counted from 0: query 1 has an earlier row already"));
+        assert!(message("one_based.npy").contains("row 2, counted from 0: query 3 of 3"));
+        assert!(message("negative.npy").contains("row 1, counted from 0: its references are no indices"));
         assert!(message("columns.npy").contains("stored by columns"));
     }
 
+    /// A file with this header and body.
+    fn file(header: &str, body: &[u8]) -> Vec<u8> {
+        [b"\x93NUMPY\x01\0", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), body].concat()
+    }
+
     proptest! {
+        #[test]
+        fn whatever_a_header_claims_is_read_or_refused(
+            kind in prop_oneof![Just("<f8"), Just("|b1"), Just("|O"), Just("<i2")],
+            rows in prop_oneof![0..4_u64, any::<u64>()],
+            columns in prop_oneof![0..4_u64, any::<u64>()],
+            body in proptest::collection::vec(any::<u8>(), 0..40),
+        ) {
+            let shape = format!("({rows}, {columns})");
+            let header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
+            let read = read(&file(&header, &body));
+            let is_dense = matches!(read, Ok(Npy::Dense { .. }));
+            prop_assert!(!is_dense || rows * columns > 0);
+        }
+
         #[test]
         fn damaged_files_are_refused_or_read_but_never_panic(
             name in prop_oneof![Just("lists.npy"), Just("arrays.npy"), Just("float.npy")],

@@ -5,6 +5,10 @@
 //! deep nesting costs no stack; the crate `serde-pickle` recurses without bound.
 //! Format: Python, `pickletools`.
 
+/// Most instructions, each of which leaves one value at most: ten times what the longest known ground truth
+/// takes.
+const MAX_STEPS: usize = 8 << 20;
+
 /// The number of a value in a [`Pickle`].
 pub(super) type ValueId = usize;
 
@@ -58,7 +62,13 @@ impl Pickle {
             marks: Vec::new(),
             memo: Vec::new(),
         };
-        while machine.step()? {}
+        let mut steps = 0;
+        while machine.step()? {
+            steps += 1;
+            if steps > MAX_STEPS {
+                return Err(format!("the pickle has more than {MAX_STEPS} instructions"));
+            }
+        }
         let root = machine.pop()?;
         Ok(Self { values: machine.values, root })
     }
@@ -307,6 +317,12 @@ mod tests {
         for bytes in [&b"."[..], b"a.", b"e.", b"t.", b"(0.", b"h\x00.", b"K", b"R."] {
             assert!(run(bytes).is_err(), "{bytes:?}");
         }
+    }
+
+    #[test]
+    fn a_program_without_end_is_given_up() {
+        let bytes = vec![b'N'; MAX_STEPS + 9];
+        assert!(run(&bytes).unwrap_err().contains("more than 8388608 instructions"));
     }
 
     #[test]

@@ -1,10 +1,9 @@
 //! Positions: degrees and file names to metres, and frames at least so far apart.
 
-use std::fs;
 use std::path::Path;
 
 use super::error::GroundTruthError;
-use super::mat;
+use super::{file, mat};
 
 /// Semi-major axis of the WGS84 ellipsoid in metres, and its first eccentricity squared.
 const WGS84: (f64, f64) = (6_378_137.0, 6.694_379_990_141_316e-3);
@@ -37,17 +36,20 @@ pub fn from_file_name(name: &str) -> Option<[f64; 2]> {
 /// # Errors
 /// If the file cannot be read or has no such variable of two rows or columns.
 pub fn pairs_from_mat(path: &Path, variable: &str) -> Result<Vec<[f64; 2]>, GroundTruthError> {
-    let bytes = fs::read(path).map_err(|error| GroundTruthError::read(path, error))?;
+    let bytes = file::read(path, file::MAX_TABLE_BYTES)?;
     let malformed = |reason: String| GroundTruthError::malformed(path, reason);
     let matrices = mat::read(&bytes).map_err(malformed)?;
     let matrix = matrices.into_iter().find(|matrix| matrix.name == variable);
     let missing = || malformed(format!("no full matrix {variable} of two columns"));
     let matrix = matrix.ok_or_else(missing)?;
-    let values = matrix.dense.ok_or_else(missing)?;
-    match (matrix.rows, matrix.columns) {
-        (rows, 2) => Ok((0..rows).map(|row| [values[row], values[rows + row]]).collect()),
-        (2, _) => Ok(values.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect()),
-        _ => Err(missing()),
+    let values = matrix.pairs.ok_or_else(missing)?;
+    let pairs: Vec<[f64; 2]> = match (matrix.rows, matrix.columns) {
+        (rows, 2) => (0..rows).map(|row| [values[row], values[rows + row]]).collect(),
+        _ => values.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect(),
+    };
+    match pairs.iter().position(|pair| pair.iter().any(|number| !number.is_finite())) {
+        Some(pair) => Err(malformed(format!("pair {pair} of {variable}, counted from 0, is no position"))),
+        None => Ok(pairs),
     }
 }
 

@@ -44,12 +44,17 @@ impl FromStr for RowFilter {
             let (column, value) = term.split_once('=').ok_or_else(|| error("not COLUMN=VALUE"))?;
             let (column, value) = (column.trim().to_owned(), value.trim());
             if column == "files" {
+                if value.is_empty() {
+                    return Err(error("files= names no column"));
+                }
                 filter.files = Some(value.to_owned());
                 continue;
             }
             let condition = match value.split_once("..") {
                 None => Condition::Equals(value.to_owned()),
-                Some(bounds) => range(bounds).ok_or_else(|| error("not a range of numbers"))?,
+                Some(bounds) => range(bounds).ok_or_else(|| {
+                    error("not a range of numbers from low to high, or of percentages from 0 to 100")
+                })?,
             };
             filter.terms.push((column, condition));
         }
@@ -70,6 +75,10 @@ fn range((from, to): (&str, &str)) -> Option<Condition> {
         number => number.parse::<f64>().ok().filter(|number| number.is_finite()),
     };
     let (from, to) = (bound(from, f64::NEG_INFINITY)?, bound(to, f64::INFINITY)?);
+    let is_percentage = |bound: f64| !is_percent || bound.is_infinite() || (0.0..=100.0).contains(&bound);
+    if from > to || !is_percentage(from) || !is_percentage(to) {
+        return None;
+    }
     Some(if is_percent { Condition::Percentiles(from, to) } else { Condition::Between(from, to) })
 }
 
@@ -159,6 +168,10 @@ mod tests {
     fn what_cannot_be_chosen_is_said() {
         assert!(choose("lap", LAPS).unwrap_err().contains("not COLUMN=VALUE"));
         assert!(choose("lap=one..2", LAPS).unwrap_err().contains("not a range of numbers"));
+        for range in ["lap=2..1", "lap=..101%", "lap=-1%..", "lap=nan..2"] {
+            assert!(choose(range, LAPS).unwrap_err().contains("not a range"), "{range}");
+        }
+        assert!(choose("files=", LAPS).unwrap_err().contains("names no column"));
         assert!(
             choose("speed=1", LAPS).unwrap_err().contains("no column `speed`; there are file, drive, lap")
         );

@@ -10,20 +10,19 @@
 //! | `easting`, `northing` | position in metres |
 //! | `latitude`, `longitude` | position in degrees |
 //! | `place` | name or number of the place |
-//! | any that ends in `_visible` | the places in view, separated by spaces |
+//! | any that ends in `_visible` | the places in view, separated by spaces; without any the row is not scored |
 //!
 //! A `reliable` or `usable` of 0 leaves a row unscored. A table may have several file columns instead
 //! (`place, summer, winter`): whoever reads it names the one that is meant.
 
 use std::collections::{BTreeMap, HashMap};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::error::GroundTruthError;
-use super::{Spot, position};
+use super::{Spot, file, position};
 
-/// Largest table that is read, in bytes.
-const MAX_BYTES: u64 = 256 << 20;
+/// Most values in a table, which take far more memory than their commas.
+const MAX_VALUES: usize = 8 << 20;
 /// Names of the column that holds the files.
 const FILE_COLUMNS: [&str; 2] = ["file", "image"];
 /// Columns whose 0 leaves a row unscored.
@@ -65,22 +64,21 @@ impl Table {
     /// # Errors
     /// If it cannot be read or its rows are not all as long as its header.
     pub fn read(path: &Path) -> Result<Self, GroundTruthError> {
-        let length = fs::metadata(path).map_err(|error| GroundTruthError::read(path, error))?.len();
-        if length > MAX_BYTES {
-            let reason = format!("{length} bytes are more than the {MAX_BYTES} of any known ground truth");
-            return Err(GroundTruthError::malformed(path, reason));
-        }
-        let bytes = fs::read(path).map_err(|error| GroundTruthError::read(path, error))?;
-        Self::parse(path, &bytes)
+        Self::parse(path, &file::read(path, file::MAX_TABLE_BYTES)?)
     }
 
     fn parse(path: &Path, bytes: &[u8]) -> Result<Self, GroundTruthError> {
         let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(bytes);
         let malformed = |error: csv::Error| GroundTruthError::malformed(path, error.to_string());
         let columns: Vec<String> = reader.headers().map_err(malformed)?.iter().map(str::to_owned).collect();
-        let mut rows = Vec::new();
+        let (mut rows, mut values) = (Vec::new(), 0);
         for record in reader.records() {
             let record = record.map_err(malformed)?;
+            values += record.len();
+            if values > MAX_VALUES {
+                let reason = format!("it has more than {MAX_VALUES} values; is it the right table?");
+                return Err(GroundTruthError::malformed(path, reason));
+            }
             let line = record.position().map_or(0, csv::Position::line);
             rows.push(TableRow { line, values: record.iter().map(str::to_owned).collect() });
         }
@@ -180,25 +178,30 @@ impl Table {
     /// # Errors
     /// If rows are wrong, or no column says it.
     pub fn spots(&self, as_ordinals: bool) -> Result<TableSpots, GroundTruthError> {
-        let mut spots = match self.find_column("same_place_as") {
-            Some(column) => {
-                let rows = self.earlier(column)?;
-                return Ok(TableSpots::Earlier { is_scored: vec![true; rows.len()], rows });
-            }
-            None => self.spots_of_all_rows(as_ordinals)?,
-        };
+        let is_scored = self.scored_rows()?;
+        if let Some(column) = self.find_column("same_place_as") {
+            return Ok(TableSpots::Earlier { rows: self.earlier(column)?, is_scored });
+        }
+        let mut spots = self.spots_of_all_rows(as_ordinals)?;
+        for (spot, _) in spots.iter_mut().zip(is_scored).filter(|(_, is_scored)| !is_scored) {
+            *spot = Spot::Unscored;
+        }
+        Ok(TableSpots::Spots(spots))
+    }
+
+    /// Whether anything is said about each row.
+    fn scored_rows(&self) -> Result<Vec<bool>, GroundTruthError> {
+        let mut is_scored = vec![true; self.rows.len()];
         for name in SCORED_COLUMNS {
             let Some(column) = self.find_column(name) else { continue };
             self.refuse_rows(&format!("`{name}` is neither 0 nor 1"), |index| {
                 !matches!(self.rows[index].values[column].as_str(), "0" | "1")
             })?;
-            for (spot, row) in spots.iter_mut().zip(&self.rows) {
-                if row.values[column] == "0" {
-                    *spot = Spot::Unscored;
-                }
+            for (is_scored, row) in is_scored.iter_mut().zip(&self.rows) {
+                *is_scored &= row.values[column] != "0";
             }
         }
-        Ok(TableSpots::Spots(spots))
+        Ok(is_scored)
     }
 
     fn spots_of_all_rows(&self, as_ordinals: bool) -> Result<Vec<Spot>, GroundTruthError> {
@@ -256,7 +259,7 @@ impl Table {
                 places.push(*numbers.entry(name).or_insert(next));
             }
             places.sort_unstable();
-            spots.push(Spot::Places(places));
+            spots.push(if places.is_empty() { Spot::Unscored } else { Spot::Places(places) });
         }
         spots
     }
@@ -286,6 +289,8 @@ impl Table {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn parse(text: &str) -> Result<Table, GroundTruthError> {
@@ -334,7 +339,7 @@ mod tests {
     #[test]
     fn buildings_in_view_are_a_set_that_may_be_empty() {
         let read = spots("image,building_ids_visible\na.jpg,id6\nb.jpg,id7 id6\nc.jpg,\n").unwrap();
-        assert_eq!(read, [Spot::Places(vec![0]), Spot::Places(vec![0, 1]), Spot::Places(vec![])]);
+        assert_eq!(read, [Spot::Places(vec![0]), Spot::Places(vec![0, 1]), Spot::Unscored]);
     }
 
     #[test]
@@ -342,6 +347,9 @@ mod tests {
         let table = parse("file,same_place_as\na.jpg,\nb.jpg,\nc.jpg,b.jpg a.jpg\n").unwrap();
         let TableSpots::Earlier { rows, .. } = table.spots(false).unwrap() else { panic!("loops") };
         assert_eq!(rows, [vec![], vec![], vec![0, 1]]);
+        let usable = parse("file,usable,same_place_as\na.jpg,1,\nb.jpg,0,a.jpg\n").unwrap();
+        let TableSpots::Earlier { is_scored, .. } = usable.spots(false).unwrap() else { panic!("loops") };
+        assert_eq!(is_scored, [true, false]);
         let shifted = parse("file,same_place_as\na.jpg,\nb.jpg,c.jpg\nc.jpg,\n").unwrap();
         assert_eq!(
             error(shifted.spots(false)),

@@ -22,8 +22,8 @@ pub(super) fn read(
         .ok_or_else(|| different(layout, folder, format!("no {set}GroundTruth.mat in it or in masks/")))?;
     let matrix = LoopMatrix::read(&path)?;
     let first = match options.camera {
-        Camera::Left => 0,
-        Camera::Right => 1,
+        None | Some(Camera::Left) => 0,
+        Some(Camera::Right) => 1,
     };
     let one_camera = files.len().saturating_sub(first as usize).div_ceil(2);
     let loops = if matrix.rows() == files.len() {

@@ -82,10 +82,9 @@ impl FromStr for Layout {
 }
 
 /// Which of two cameras.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Camera {
     /// The left one.
-    #[default]
     Left,
     /// The right one.
     Right,
@@ -96,8 +95,23 @@ pub enum Camera {
 pub struct LayoutOptions {
     /// Least distance of kept frames in metres; by default the set's usual one.
     pub spacing_metres: Option<f64>,
-    /// Which camera, where there are two.
-    pub camera: Camera,
+    /// Which camera, where there are two; by default the left one.
+    pub camera: Option<Camera>,
+}
+
+impl LayoutOptions {
+    /// Fails if an option was named that would change nothing.
+    fn refuse_unused(self, layout: Layout, folder: &Path, has_positions: bool) -> Result<(), LayoutError> {
+        let has_cameras = matches!(layout, Layout::CityCentre | Layout::NewCollege | Layout::Kitti);
+        let useless = |option, reason| LayoutError::Useless { folder: folder.to_owned(), option, reason };
+        if self.camera.is_some() && !has_cameras {
+            Err(useless("camera", "has one camera"))
+        } else if self.spacing_metres.is_some() && !has_positions {
+            Err(useless("spacing", "has no positions"))
+        } else {
+            Ok(())
+        }
+    }
 }
 
 /// Where the frames of a traverse lie.
@@ -168,6 +182,16 @@ pub enum LayoutError {
         /// What is missing, or does not fit.
         reason: String,
     },
+    /// An option would change nothing.
+    #[error("{option} has no meaning, since {} {reason}; leave it out", folder.display())]
+    Useless {
+        /// The folder.
+        folder: PathBuf,
+        /// The option.
+        option: &'static str,
+        /// Why it would change nothing.
+        reason: &'static str,
+    },
     /// A ground-truth file of the folder is wrong.
     #[error(transparent)]
     GroundTruth(#[from] GroundTruthError),
@@ -192,6 +216,7 @@ pub fn read(layout: Layout, folder: &Path, options: &LayoutOptions) -> Result<La
         Layout::Nordland => aligned(folder, 10)?,
         Layout::GardensPoint => aligned(folder, 2)?,
     };
+    options.refuse_unused(layout, folder, traverse.positions_metres.is_some())?;
     Ok(LayoutTraverse { name, ..traverse })
 }
 
@@ -260,6 +285,14 @@ mod tests {
         fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/ground_truth").join(name)).unwrap()
     }
 
+    /// A video of so many frames.
+    fn film(path: &Path, frames: u32) {
+        let input = format!("testsrc=size=64x48:rate=5:duration={}", f64::from(frames) / 5.0);
+        let mut ffmpeg = std::process::Command::new("ffmpeg");
+        ffmpeg.args(["-v", "error", "-y", "-f", "lavfi", "-i", &input, "-c:v", "mjpeg"]).arg(path);
+        assert!(ffmpeg.status().expect("ffmpeg is installed for tests").success());
+    }
+
     fn read_all(layout: &str, folder: &Path) -> Result<LayoutTraverse, String> {
         read(layout.parse().unwrap(), folder, &LayoutOptions::default()).map_err(|error| error.to_string())
     }
@@ -305,15 +338,17 @@ mod tests {
     fn st_lucia_has_a_line_of_southern_degrees_a_frame_and_keeps_frames_five_metres_apart() {
         // One thousandth of a degree of latitude is 111 m: 4e-5 degrees are 4.4 m, 5e-5 are 5.5 m.
         let gps = "27.500000,153.0\n27.500040,153.0\n27.500050,153.0\n";
-        let set = folder(&[("fGPS.txt", gps), ("webcam_video.avi", "")]);
+        let set = folder(&[("fGPS.txt", gps)]);
+        let video = set.path().join("webcam_video.avi");
+        film(&video, 3);
         let traverse = read_all("st-lucia", set.path()).unwrap();
-        assert_eq!(
-            traverse.images,
-            Images::Video { path: set.path().join("webcam_video.avi"), frames: vec![0, 2] }
-        );
+        assert_eq!(traverse.images, Images::Video { path: video.clone(), frames: vec![0, 2] });
         let positions = traverse.positions_metres.unwrap();
         assert!((positions[1][1] - positions[0][1] + 5.54).abs() < 0.01, "south of the first: {positions:?}");
         assert_eq!(traverse.rule, Rule::Radius { metres: 25.0 });
+        film(&video, 5);
+        let message = read_all("st-lucia", set.path()).unwrap_err();
+        assert!(message.contains("5 frames but 3 positions"), "{message}");
 
         let frames =
             folder(&[("fGPS.txt", gps), ("frames/1.png", ""), ("frames/2.png", ""), ("frames/10.png", "")]);
@@ -354,13 +389,25 @@ mod tests {
         assert_eq!(names(&traverse), ["0001.jpg", "0003.jpg", "0005.jpg"]);
         let (_, loops) = traverse.loops.unwrap();
         assert_eq!([loops.matches(0), loops.matches(1), loops.matches(2)], [&[][..], &[0], &[1]]);
-        let right = LayoutOptions { camera: Camera::Right, ..LayoutOptions::default() };
+        let right = LayoutOptions { camera: Some(Camera::Right), ..LayoutOptions::default() };
         assert_eq!(names(&read(Layout::CityCentre, set.path(), &right).unwrap())[0], "0002.jpg");
         fs::write(set.path().join("CityCentreGroundTruth.txt"), "0 0\n1 0\n").unwrap();
         let message = read_all("city-centre", set.path()).unwrap_err();
         assert!(message.contains("2 rows for 6 images of both cameras, 3 of one"), "{message}");
         let message = read_all("new-college", set.path()).unwrap_err();
         assert!(message.contains("NewCollegeGroundTruth.mat"), "{message}");
+    }
+
+    #[test]
+    fn options_that_would_change_nothing_are_refused() {
+        let plain = folder(&[("1.jpg", "")]);
+        let refused =
+            |layout, options: LayoutOptions| read(layout, plain.path(), &options).unwrap_err().to_string();
+        let spacing = LayoutOptions { spacing_metres: Some(5.0), camera: None };
+        assert!(refused(Layout::Nordland, spacing).contains("spacing has no meaning"));
+        assert!(refused(Layout::Images, spacing).contains("has no positions"));
+        let camera = LayoutOptions { spacing_metres: None, camera: Some(Camera::Left) };
+        assert!(refused(Layout::GardensPoint, camera).contains("camera has no meaning"));
     }
 
     #[test]
@@ -376,6 +423,9 @@ mod tests {
         let traverse = read_all("kitti", &set.path().join("sequences/05")).unwrap();
         assert_eq!(traverse.positions_metres, Some(vec![[0.0, 0.0], [0.5, 12.0]]));
         assert_eq!(traverse.rule, Rule::Radius { metres: 10.0 });
+        let right = LayoutOptions { camera: Some(Camera::Right), ..LayoutOptions::default() };
+        let message = read(Layout::Kitti, &set.path().join("sequences/05"), &right).unwrap_err().to_string();
+        assert!(message.contains("no images in image_1 or image_3"), "{message}");
         fs::write(set.path().join("poses/05.txt"), pose(0.0, 0.0)).unwrap();
         let message = read_all("kitti", &set.path().join("sequences/05")).unwrap_err();
         assert!(message.contains("2 images but 1 poses"), "{message}");

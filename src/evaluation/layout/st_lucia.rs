@@ -4,14 +4,13 @@
 //! `fGPS.txt` has a line `LATITUDE,LONGITUDE` a frame. Latitudes are southern; published files leave out
 //! their sign.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::{
     Images, Layout, LayoutError, LayoutOptions, LayoutTraverse, Rule, different, images, kept, placed,
 };
-use crate::evaluation::ground_truth::{GroundTruthError, position};
-use crate::source::image_files;
+use crate::evaluation::ground_truth::{GroundTruthError, file, position};
+use crate::source::{FrameSource, VideoSource, image_files};
 
 /// Latitude and longitude, in degrees, from which positions are counted: one origin for all traverses.
 const ORIGIN: [f64; 2] = [-27.5, 153.0];
@@ -46,7 +45,10 @@ pub(super) fn read(folder: &Path, options: &LayoutOptions) -> Result<LayoutTrave
             format!("neither {VIDEO} nor images, in it or in frames/"),
         ));
     }
-    let kept = kept(&positions, options.spacing_metres);
+    let announced = VideoSource::open(&path, Some(1))?.frame_count();
+    let frames = announced.map_or(positions.len(), |count| usize::try_from(count).unwrap_or(usize::MAX));
+    let positions = &positions[..common(folder, frames, positions.len())?];
+    let kept = kept(positions, options.spacing_metres);
     Ok(LayoutTraverse {
         name: String::new(),
         positions_metres: Some(kept.iter().map(|&frame| positions[frame]).collect()),
@@ -62,14 +64,20 @@ fn of_files(
     positions: &[[f64; 2]],
     options: &LayoutOptions,
 ) -> Result<LayoutTraverse, LayoutError> {
-    let common = files.len().min(positions.len());
-    let left_over = files.len().max(positions.len()) - common;
+    let common = common(folder, files.len(), positions.len())?;
+    Ok(placed(files, &positions[..common], options.spacing_metres, RADIUS_METRES))
+}
+
+/// How many frames have a position, if not too many of either are left over.
+fn common(folder: &Path, frames: usize, positions: usize) -> Result<usize, LayoutError> {
+    let common = frames.min(positions);
+    let left_over = frames.max(positions) - common;
     let (most, share) = MAX_LEFT_OVER;
     if left_over > most || left_over as f64 > share * common as f64 {
-        let reason = format!("{} frames but {} positions", files.len(), positions.len());
+        let reason = format!("{frames} frames but {positions} positions");
         return Err(different(Layout::StLucia, folder, reason));
     }
-    Ok(placed(files, &positions[..common], options.spacing_metres, RADIUS_METRES))
+    Ok(common)
 }
 
 /// East and north in metres, a pair a frame.
@@ -91,7 +99,7 @@ fn positions(folder: &Path) -> Result<Vec<[f64; 2]>, LayoutError> {
 }
 
 fn degrees_from_text(path: &Path) -> Result<Vec<[f64; 2]>, GroundTruthError> {
-    let text = fs::read_to_string(path).map_err(|error| GroundTruthError::read(path, error))?;
+    let text = file::read_text(path, file::MAX_TABLE_BYTES)?;
     let pair = |line: &str| {
         let (latitude, longitude) = line.split_once(',')?;
         let pair = [latitude.trim().parse().ok()?, longitude.trim().parse().ok()?];

@@ -1,4 +1,4 @@
-//! Figures as text: the columns of the table of figures, and the numbers in its cells.
+//! Figures as text: the rows of the table of figures, one a measure, and the numbers in its cells.
 
 use crate::evaluation::metrics::{Estimate, Proportion};
 use crate::evaluation::results::{Figures, MethodResult, Report};
@@ -53,9 +53,9 @@ impl Cell {
     }
 }
 
-/// One column of the table of figures.
-pub(super) struct Column {
-    /// Its head.
+/// One row of the table of figures.
+pub(super) struct Measure {
+    /// Its name at the head of the row.
     pub(super) title: &'static str,
     /// The fields of [`Figures`] that it shows.
     pub(super) keys: &'static [&'static str],
@@ -63,51 +63,65 @@ pub(super) struct Column {
     pub(super) cell: fn(&Figures) -> Option<Cell>,
 }
 
-impl Column {
-    /// What the column means, in the report's own words.
+impl Measure {
+    /// What the measure means, in the report's own words.
     pub(super) fn definition(&self, report: &Report) -> String {
         let sentences: Vec<&str> =
             self.keys.iter().filter_map(|key| report.definitions.get(key).copied()).collect();
         sentences.join(" / ")
     }
+
+    /// The figure of each method, and what all of them counted where that is the same number.
+    pub(super) fn row(&self, results: &[MethodResult]) -> (Vec<Option<Cell>>, Option<u64>) {
+        let mut cells: Vec<Option<Cell>> =
+            results.iter().map(|result| (self.cell)(&result.figures)).collect();
+        let mut counted = cells.iter().flatten().map(|cell| cell.n);
+        let shared = counted.next().flatten().filter(|&n| counted.all(|other| other == Some(n)));
+        if shared.is_some() {
+            cells.iter_mut().flatten().for_each(|cell| cell.n = None);
+        }
+        (cells, shared)
+    }
 }
 
-const fn column(
+const fn measure(
     title: &'static str,
     keys: &'static [&'static str],
     cell: fn(&Figures) -> Option<Cell>,
-) -> Column {
-    Column { title, keys, cell }
+) -> Measure {
+    Measure { title, keys, cell }
 }
 
-/// All columns, in the order of the definitions.
-pub(super) const COLUMNS: [Column; 15] = [
-    column("Recognition rate", &["recognition_rate"], |f| Cell::proportion(f.recognition_rate.as_ref())),
-    column("Precision", &["precision"], |f| Cell::proportion(f.precision.as_ref())),
-    column("Recall", &["recall"], |f| Cell::proportion(f.recall.as_ref())),
-    column("Keyframe precision", &["keyframe_precision"], |f| {
+/// All of them, in the order of the definitions.
+pub(super) const MEASURES: [Measure; 15] = [
+    measure("Recognition rate", &["recognition_rate"], |f| Cell::proportion(f.recognition_rate.as_ref())),
+    measure("Precision", &["precision"], |f| Cell::proportion(f.precision.as_ref())),
+    measure("Recall", &["recall"], |f| Cell::proportion(f.recall.as_ref())),
+    measure("Keyframe precision", &["keyframe_precision"], |f| {
         Cell::proportion(f.keyframe_precision.as_ref())
     }),
-    column("R@1", &["recall_at_1"], |f| Cell::proportion(f.recall_at_1.as_ref())),
-    column("R@5", &["recall_at_5"], |f| Cell::proportion(f.recall_at_5.as_ref())),
-    column("R@10", &["recall_at_10"], |f| Cell::proportion(f.recall_at_10.as_ref())),
-    column("AUC", &["auc"], |f| Cell::estimate(f.auc.as_ref())),
-    column("R@100P", &["recall_at_full_precision"], |f| {
+    measure("R@1", &["recall_at_1"], |f| Cell::proportion(f.recall_at_1.as_ref())),
+    measure("R@5", &["recall_at_5"], |f| Cell::proportion(f.recall_at_5.as_ref())),
+    measure("R@10", &["recall_at_10"], |f| Cell::proportion(f.recall_at_10.as_ref())),
+    measure("AUC", &["auc"], |f| Cell::estimate(f.auc.as_ref())),
+    measure("R@100P", &["recall_at_full_precision"], |f| {
         Cell::proportion(f.recall_at_full_precision.as_ref())
     }),
-    column("False accepts", &["false_accepts"], |f| Cell::proportion(f.false_accepts.as_ref())),
-    column("Unjudged answers", &["unjudged_answers"], |f| Cell::count(f.unjudged_answers)),
-    column("AUROC", &["auroc"], |f| Cell::estimate(f.auroc.as_ref())),
-    column("ECE", &["expected_calibration_error"], |f| Cell::estimate(f.expected_calibration_error.as_ref())),
-    column("Purity", &["purity"], |f| Cell::proportion(f.purity.as_ref())),
-    column("Places founded / true", &["places_founded", "true_places"], Cell::places),
+    measure("False accepts", &["false_accepts"], |f| Cell::proportion(f.false_accepts.as_ref())),
+    measure("Unjudged answers", &["unjudged_answers"], |f| Cell::count(f.unjudged_answers)),
+    measure("AUROC", &["auroc"], |f| Cell::estimate(f.auroc.as_ref())),
+    measure("ECE", &["expected_calibration_error"], |f| {
+        Cell::estimate(f.expected_calibration_error.as_ref())
+    }),
+    measure("Purity", &["purity"], |f| Cell::proportion(f.purity.as_ref())),
+    measure("Places founded / true", &["places_founded", "true_places"], Cell::places),
 ];
 
-/// The columns that hold anything in these rows.
-pub(super) fn columns_in_use(results: &[MethodResult]) -> Vec<&'static Column> {
-    const ALL: &[Column] = &COLUMNS;
+/// The measures that hold anything in these results.
+pub(super) fn measures_in_use(results: &[MethodResult]) -> Vec<&'static Measure> {
+    const ALL: &[Measure] = &MEASURES;
     ALL.iter()
-        .filter(|column| results.iter().any(|result| (column.cell)(&result.figures).is_some()))
+        .filter(|measure| results.iter().any(|result| (measure.cell)(&result.figures).is_some()))
         .collect()
 }
 
@@ -148,7 +162,7 @@ pub(super) fn proportion(figure: Option<&Proportion>) -> String {
     line(Cell::proportion(figure).as_ref())
 }
 
-/// A cell in one line: `rate [low, high] n`.
+/// A cell in one line: `rate [low, high] n`, as far as the cell has them.
 pub(super) fn line(cell: Option<&Cell>) -> String {
     let Some(cell) = cell else { return NOTHING.to_owned() };
     let mut text = cell.value.clone();
@@ -159,6 +173,16 @@ pub(super) fn line(cell: Option<&Cell>) -> String {
         text = format!("{text} {}", thousands(n));
     }
     text
+}
+
+/// A proportion as what it was counted from: `42/44`.
+pub(super) fn counts(cell: &Cell) -> Option<String> {
+    Some(format!("{}/{}", thousands(cell.successes?), thousands(cell.n?)))
+}
+
+/// A number of things, which are one or more.
+pub(super) fn counted(count: u64, one: &str, more: &str) -> String {
+    format!("{} {}", thousands(count), if count == 1 { one } else { more })
 }
 
 #[cfg(test)]
@@ -180,8 +204,8 @@ mod tests {
     }
 
     #[test]
-    fn every_definition_has_its_column() {
-        let shown: Vec<&str> = COLUMNS.iter().flat_map(|column| column.keys.iter().copied()).collect();
+    fn every_definition_has_its_measure() {
+        let shown: Vec<&str> = MEASURES.iter().flat_map(|measure| measure.keys.iter().copied()).collect();
         let defined: Vec<&str> =
             crate::evaluation::definitions::DEFINITIONS.iter().map(|&(key, _)| key).collect();
         assert_eq!(shown, defined);

@@ -1,5 +1,6 @@
-//! Which true place was taken for which, as a heat map: rows are the places of the queries, columns
-//! those of the answers. Right answers lie on the diagonal.
+//! Which true place was taken for which, as a heat map: rows are the true places of the queries, columns
+//! those of the matched keyframes. Right answers lie on the diagonal; answers to frames of unknown places
+//! have no row, and the caption counts them.
 
 use plotters::prelude::*;
 
@@ -67,11 +68,15 @@ pub(super) fn plot(result: &MethodResult) -> Result<Option<(String, String)>, Re
 
 fn caption(confusion: &Confusion, binned: &Binned) -> String {
     let mut caption = format!(
-        "{} answers over {} true places, {} of another place.",
-        cells::thousands(binned.answers),
-        cells::thousands(confusion.true_places.into()),
+        "{} to frames of known places, over {}: {} of another place.",
+        cells::counted(binned.answers, "answer", "answers"),
+        cells::counted(confusion.true_places.into(), "true place", "true places"),
         cells::thousands(binned.answers - binned.right)
     );
+    if confusion.of_unknown > 0 {
+        let more = cells::counted(confusion.of_unknown, "more answer was", "more answers were");
+        caption += &format!(" {more} given to frames of unknown places, which have no row.");
+    }
     if binned.places_per_row > 1 {
         caption += &format!(" Binned: {} places share a row and a column.", binned.places_per_row);
     }
@@ -86,8 +91,13 @@ fn paint(area: &Area<'_>, binned: &Binned) -> Drawn {
         .x_label_area_size(50)
         .y_label_area_size(62)
         .build_cartesian_2d(0.0..side * scale, side * scale..0.0)?;
-    let axes =
-        Axes { x: "Place of the answer", y: "Place of the query", x_labels: 6, y_labels: 6, decimals: 0 };
+    let axes = Axes {
+        x: "True place of the matched keyframe",
+        y: "True place of the query",
+        x_labels: 6,
+        y_labels: 6,
+        decimals: 0,
+    };
     draw_axes(&mut chart, &axes)?;
     let most = binned.counts.iter().copied().max().unwrap_or(1).max(1) as f64;
     for (index, &count) in (0_u32..).zip(&binned.counts) {

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::cells::{self, Cell, Column};
-use super::html::table;
+use super::cells::{self, Cell, Measure};
+use super::html::{part, table};
 use super::text::html as escape;
 use super::{Report, ReportError, confusion, pairs, palette, precision_recall, reliability};
 use crate::evaluation::results::{Experiment, MethodResult, PaperProtocol, TraverseSummary};
@@ -66,47 +66,71 @@ fn question(experiment: &Experiment) -> String {
         format!(" <span class=\"hash\">SHA-256 <code>{}</code></span>", escape(hash))
     });
     format!(
-        "{}<p><strong>Ground truth:</strong> {}{hash}</p>\n\
+        "{}<p><strong>Ground truth:</strong> {}{hash}</p>\n{}\
          <p>Scored query frames: <strong>{}</strong> of known places, <strong>{}</strong> of unknown ones; \
          <strong>{}</strong> not scored.</p>\n",
         table("Frames", &["Traverse", "Name", "Frames", "Unreadable"], &rows),
         escape(&truth.definition),
+        settings(experiment),
         cells::thousands(truth.known),
         cells::thousands(truth.unknown),
         cells::thousands(truth.unscored),
     )
 }
 
+fn settings(experiment: &Experiment) -> String {
+    let pair = |(name, value): (&String, &String)| {
+        format!("<code>{}</code> <code>{}</code>", escape(name), escape(value))
+    };
+    let pairs: Vec<String> = experiment.settings.iter().map(pair).collect();
+    if pairs.is_empty() {
+        return String::new();
+    }
+    format!("<p><strong>Settings:</strong> {}</p>\n", pairs.join(", "))
+}
+
 fn figures(report: &Report, results: &[MethodResult]) -> String {
-    let columns = cells::columns_in_use(results);
-    if columns.is_empty() {
+    let measures = cells::measures_in_use(results);
+    if measures.is_empty() {
         return "<p class=\"quiet\">Nothing was counted.</p>\n".to_owned();
     }
     let mut table = "<div class=\"scroll\" tabindex=\"0\">\n<table class=\"figures\">\n\
-         <caption>Rate, its 95 % interval, and what was counted</caption>\n<thead>\n\
-         <tr><th scope=\"col\">Method · database</th>"
+         <caption>Rate, its 95 % interval, and n, what was counted</caption>\n<thead>\n\
+         <tr><th scope=\"col\">Figure</th>"
         .to_owned();
-    for column in &columns {
-        let definition = escape(&column.definition(report));
-        let _ = write!(table, "<th scope=\"col\" title=\"{definition}\">{}</th>", escape(column.title));
-    }
-    table += "</tr>\n</thead>\n<tbody>\n";
     for result in results {
         let key = palette::key(result.method, result.database);
-        let _ = write!(table, "<tr><th scope=\"row\">{key} {}</th>", palette::label(result));
-        for column in &columns {
-            table += &figure_cell(column, result);
-        }
-        table += "</tr>\n";
+        let _ = write!(table, "<th scope=\"col\">{key} {}</th>", palette::label(result));
+    }
+    table += "</tr>\n</thead>\n<tbody>\n";
+    for measure in measures {
+        table += &figure_row(report, measure, results);
     }
     table + "</tbody>\n</table>\n</div>\n"
 }
 
-fn figure_cell(column: &Column, result: &MethodResult) -> String {
-    match (column.cell)(&result.figures) {
-        Some(cell) => format!("<td>{}</td>", stacked(Some(&cell))),
-        None => format!("<td class=\"quiet\">{}</td>", cells::NOTHING),
+fn figure_row(report: &Report, measure: &Measure, results: &[MethodResult]) -> String {
+    let (figures, shared_n) = measure.row(results);
+    let counted = shared_n.map(|n| part(&format!("n {}", cells::thousands(n)))).unwrap_or_default();
+    let mut row = format!(
+        "<tr><th scope=\"row\" title=\"{}\"><span class=\"term\">{}</span>{counted}</th>",
+        escape(&measure.definition(report)),
+        escape(measure.title)
+    );
+    for cell in &figures {
+        row += &match cell {
+            Some(cell) => format!("<td{}>{}</td>", hint(cell, shared_n), stacked(Some(cell))),
+            None => format!("<td class=\"quiet\">{}</td>", cells::NOTHING),
+        };
     }
+    row + "</tr>\n"
+}
+
+/// How many there are of how many counted, to be seen under the pointer.
+fn hint(cell: &Cell, shared_n: Option<u64>) -> String {
+    cell.successes.zip(cell.n.or(shared_n)).map_or_else(String::new, |(successes, n)| {
+        format!(" title=\"{} of {}\"", cells::thousands(successes), cells::thousands(n))
+    })
 }
 
 /// A figure, its interval and its count over each other.
@@ -114,13 +138,10 @@ fn stacked(cell: Option<&Cell>) -> String {
     let Some(cell) = cell else { return cells::NOTHING.to_owned() };
     let mut stacked = format!("<strong>{}</strong>", cell.value);
     if let Some((low, high)) = &cell.interval {
-        let _ = write!(stacked, "<span class=\"part\">{low}–{high}</span>");
+        stacked += &part(&format!("{low}–{high}"));
     }
     if let Some(n) = cell.n {
-        let hint = cell.successes.map_or_else(String::new, |successes| {
-            format!(" title=\"{} of {}\"", cells::thousands(successes), cells::thousands(n))
-        });
-        let _ = write!(stacked, "<span class=\"part\"{hint}>n {}</span>", cells::thousands(n));
+        stacked += &part(&format!("n {}", cells::thousands(n)));
     }
     stacked
 }
@@ -140,7 +161,7 @@ fn baselines(experiment: &Experiment) -> String {
 fn paper(paper: &PaperProtocol) -> String {
     let published = paper.published;
     let percent = |percent: f64| {
-        format!("<strong>{}</strong><span class=\"part\">{percent} %</span>", cells::decimal(percent / 100.0))
+        format!("<strong>{}</strong>{}", cells::decimal(percent / 100.0), part(&format!("{percent} %")))
     };
     let ours = |figure| stacked(Cell::proportion(figure).as_ref());
     let rows = [
@@ -197,7 +218,8 @@ fn reliabilities(results: &[MethodResult]) -> Result<String, ReportError> {
     }
     Ok(format!(
         "<h3>Reliability of the confidence</h3>\n<p>A point on the diagonal says that the confidence is the \
-         probability of being right; bars below count the answers of each bin, lines are 95 % intervals.</p>\n\
+         probability of being right; lines are 95 % intervals, and bars below count the frames of each bin. Every \
+         best candidate counts, accepted or not.</p>\n\
          <div class=\"cards\">\n{cards}</div>\n"
     ))
 }
@@ -213,8 +235,9 @@ fn confusions(results: &[MethodResult]) -> Result<String, ReportError> {
         return Ok(cards);
     }
     Ok(format!(
-        "<h3>Confusion of places</h3>\n<p>Rows are the places of the queries in order of first appearance, columns \
-         those of the answers. Blue on the diagonal is right, orange beside it wrong; darker is more.</p>\n\
+        "<h3>Confusion of places</h3>\n<p>Answers given to frames of known places. Rows are the true places of the \
+         queries, columns the true places of the matched keyframes, both in order of first appearance. Blue on the \
+         diagonal is right, orange beside it wrong; darker is more.</p>\n\
          <div class=\"cards\">\n{cards}</div>\n"
     ))
 }
@@ -232,8 +255,9 @@ fn mistakes(results: &[MethodResult]) -> String {
     let mut section = String::new();
     for result in results.iter().filter(|result| !result.worst.is_empty()) {
         let key = palette::key(result.method, result.database);
-        let _ = writeln!(section, "<h4>{key} {}</h4>", palette::label(result));
+        let _ = writeln!(section, "<h4>{key} {}</h4>\n<div class=\"pairs\">", palette::label(result));
         section.extend(result.worst.iter().map(pairs::figure));
+        section += "</div>\n";
     }
     if section.is_empty() {
         return section;

@@ -1,9 +1,10 @@
-//! The page: head, how it was made, contents, the experiments, what the figures mean, the settings.
+//! The page: head, all at a glance, how it was made, contents, how to read it, the experiments, what the
+//! figures mean, the settings.
 
 use std::fmt::Write as _;
 
 use super::text::html as escape;
-use super::{ReportError, cells, experiment};
+use super::{ReportError, cells, experiment, glance, reading};
 use crate::evaluation::results::{Asset, Header, Report};
 
 const STYLE: &str = include_str!("style.css");
@@ -20,8 +21,16 @@ pub(super) fn document(report: &Report) -> Result<String, ReportError> {
          <meta name=\"color-scheme\" content=\"light dark\"/>\n\
          <title>Loci evaluation</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n"
     );
+    let command = escape(&report.header.command);
+    let _ = write!(
+        page,
+        "<header>\n<h1>Loci evaluation</h1>\n<p>Made by this command:</p>\n\
+         <pre class=\"command\"><code>{command}</code></pre>\n</header>\n"
+    );
+    page += &at_a_glance(report);
     page += &header(report);
     page += &contents(report);
+    page += &how_to_read();
     for (index, experiment) in report.experiments.iter().enumerate() {
         page += &experiment::section(report, experiment, index + 1)?;
     }
@@ -29,6 +38,49 @@ pub(super) fn document(report: &Report) -> Result<String, ReportError> {
     page += &settings(&report.header);
     page += "</main>\n</body>\n</html>\n";
     Ok(page)
+}
+
+fn at_a_glance(report: &Report) -> String {
+    let mut rows = Vec::new();
+    for (index, row) in glance::rows(report).iter().enumerate() {
+        let experiment = row.experiment;
+        let stand_in = row.stand_in.as_ref().map_or_else(String::new, |which| part(which));
+        let link =
+            format!("<a href=\"#experiment-{}\">{}</a>{stand_in}", index + 1, escape(&experiment.name));
+        let mut cells = vec![link, row.frames.clone()];
+        cells.extend(row.figures.iter().map(|figure| match figure {
+            Some((rate, counts)) => format!("<strong>{rate}</strong>{}", part(&format!("({counts})"))),
+            None => cells::NOTHING.to_owned(),
+        }));
+        rows.push(cells);
+    }
+    if rows.is_empty() {
+        return String::new();
+    }
+    let table = table("The product’s decision in every experiment", &glance::HEAD, &rows)
+        .replace("<table>", "<table class=\"numbers\">");
+    let sentence = escape(glance::SENTENCE);
+    format!("<section>\n<h2 id=\"glance\">At a glance</h2>\n<p>{sentence}</p>\n{table}</section>\n")
+}
+
+/// What is said in small below a figure or a name.
+pub(super) fn part(words: &str) -> String {
+    format!("<span class=\"part\">{}</span>", escape(words))
+}
+
+fn how_to_read() -> String {
+    let mut section =
+        "<section>\n<h2 id=\"reading\">How to read the figures</h2>\n<dl class=\"names\">\n".to_owned();
+    for (name, meaning) in reading::names() {
+        let _ = writeln!(section, "<dt><code>{}</code></dt>\n<dd>{}</dd>", escape(name), typeset(meaning));
+    }
+    let intervals = typeset(reading::INTERVALS);
+    section + &format!("</dl>\n<p>{intervals} n is what was counted.</p>\n</section>\n")
+}
+
+/// Our own prose with the apostrophes of print.
+fn typeset(prose: &str) -> String {
+    escape(&prose.replace('\'', "’"))
 }
 
 fn header(report: &Report) -> String {
@@ -41,17 +93,14 @@ fn header(report: &Report) -> String {
         vec!["Vocabulary".to_owned(), asset(Some(&header.vocabulary))],
         vec!["CNN".to_owned(), asset(header.model.as_ref())],
     ];
+    rows.extend(header.suite.as_ref().map(|suite| vec!["Suite".to_owned(), asset(Some(suite))]));
     if !header.settings.is_empty() {
         let count = cells::thousands(header.settings.len() as u64);
         rows.push(vec!["Settings".to_owned(), format!("<a href=\"#settings\">{count}, at the end</a>")]);
     }
     rows.push(vec!["Schema".to_owned(), format!("<code>{}</code>", escape(report.schema))]);
-    format!(
-        "<header>\n<h1>Loci evaluation</h1>\n<p>Made by this command:</p>\n\
-         <pre class=\"command\"><code>{}</code></pre>\n{}</header>\n",
-        escape(&header.command),
-        table("How these figures were made", &[], &rows)
-    )
+    let table = table("Program, machine and files", &[], &rows);
+    format!("<section>\n<h2 id=\"made\">How these figures were made</h2>\n{table}</section>\n")
 }
 
 fn asset(asset: Option<&Asset>) -> String {
@@ -68,7 +117,9 @@ fn asset(asset: Option<&Asset>) -> String {
 }
 
 fn contents(report: &Report) -> String {
-    let mut list = "<nav aria-labelledby=\"contents\">\n<h2 id=\"contents\">Contents</h2>\n<ol>\n".to_owned();
+    let mut list = "<nav aria-labelledby=\"contents\">\n<h2 id=\"contents\">Contents</h2>\n<ol>\n\
+                    <li><a href=\"#reading\">How to read the figures</a></li>\n"
+        .to_owned();
     for (index, experiment) in report.experiments.iter().enumerate() {
         let warnings = match experiment.warnings.len() {
             0 => String::new(),
@@ -86,17 +137,15 @@ fn contents(report: &Report) -> String {
 }
 
 fn definitions(report: &Report) -> String {
-    let mut list = "<section>\n<h2 id=\"definitions\">What the figures mean</h2>\n\
-         <p>Intervals are Wilson’s at 95 % unless said otherwise; n is what was counted.</p>\n<dl>\n"
-        .to_owned();
-    for column in &cells::COLUMNS {
-        let terms: Vec<String> = column.keys.iter().map(|key| format!("<code>{key}</code>")).collect();
+    let mut list = "<section>\n<h2 id=\"definitions\">What the figures mean</h2>\n<dl>\n".to_owned();
+    for measure in &cells::MEASURES {
+        let terms: Vec<String> = measure.keys.iter().map(|key| format!("<code>{key}</code>")).collect();
         let _ = writeln!(
             list,
             "<dt>{} <span class=\"quiet\">{}</span></dt>\n<dd>{}</dd>",
-            escape(column.title),
+            escape(measure.title),
             terms.join(", "),
-            escape(&column.definition(report))
+            escape(&measure.definition(report))
         );
     }
     list + "</dl>\n</section>\n"

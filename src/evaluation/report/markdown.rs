@@ -1,12 +1,20 @@
-//! The same report as text: each experiment with one row a method and database, and what varies from
+//! The same report as text: each experiment with a column a method and database, and what varies from
 //! run to run in one table of its own, so that two reports can be compared line by line.
 
 use super::cells::{self, NOTHING};
-use super::palette;
 use super::text::{markdown as escape, markdown_block, markdown_code as code, wrap};
-use crate::evaluation::results::{
-    Asset, Baseline, Experiment, MethodResult, PaperProtocol, Report, TraverseSummary,
-};
+use super::{glance, palette, reading};
+use crate::evaluation::results::{Asset, Baseline, Experiment, PaperProtocol, Report, TraverseSummary};
+
+/// Headings that this document has anyway.
+const OWN_HEADINGS: [&str; 6] = [
+    "Loci evaluation",
+    "At a glance",
+    "How these figures were made",
+    "How to read the figures",
+    "What the figures mean",
+    "Settings",
+];
 
 /// Where the numbers of a table stand in their cells.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -22,16 +30,64 @@ pub(super) fn document(report: &Report) -> String {
         "# Loci evaluation\n".to_owned(),
         "Made by this command:\n".to_owned(),
         markdown_block(&report.header.command),
-        header(report),
-        paragraph(
-            "Cells read `rate [low, high] n`: the rate, its 95 % interval (Wilson's unless the definition says \
-             otherwise) and what was counted. What each figure means stands at the end.",
-        ),
     ];
+    parts.extend(at_a_glance(report));
+    parts.push(header(report));
+    parts.push(how_to_read());
     parts.extend(report.experiments.iter().map(experiment));
     parts.push(definitions(report));
     parts.extend(settings(report));
     parts.join("\n")
+}
+
+fn at_a_glance(report: &Report) -> Option<String> {
+    let row = |row: &glance::Row<'_>| {
+        let experiment = row.experiment;
+        let name = escape(&experiment.name);
+        let linked = match anchor(report, &experiment.name) {
+            Some(anchor) => format!("[{name}](#{anchor})"),
+            None => name,
+        };
+        let stand_in = row.stand_in.as_ref().map_or_else(String::new, |which| format!(" ({which})"));
+        let mut cells = vec![format!("{linked}{stand_in}"), row.frames.clone()];
+        cells.extend(row.figures.iter().map(|figure| match figure {
+            Some((rate, counts)) => format!("{rate} ({counts})"),
+            None => NOTHING.to_owned(),
+        }));
+        cells
+    };
+    let rows: Vec<Vec<String>> = glance::rows(report).iter().map(row).collect();
+    let table = || table(&glance::HEAD, &rows, Align::Right);
+    (!rows.is_empty()).then(|| format!("## At a glance\n\n{}\n{}", paragraph(glance::SENTENCE), table()))
+}
+
+/// Where GitHub puts the heading: in small letters, blanks as hyphens, without punctuation. Only plain names,
+/// for which that is certain, and which no other heading shares, get a link.
+fn anchor(report: &Report, name: &str) -> Option<String> {
+    let is_kept = |c: &char| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_');
+    let slug = |heading: &str| {
+        let kept: String = heading.chars().filter(is_kept).collect();
+        kept.to_lowercase().replace(' ', "-")
+    };
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, ' ' | ',' | '-');
+    let is_certain =
+        !name.is_empty() && name.chars().all(is_plain) && !name.contains("  ") && name.trim() == name;
+    let headings = report.experiments.iter().map(|experiment| experiment.name.as_str()).chain(OWN_HEADINGS);
+    let is_alone = || headings.filter(|heading| slug(heading) == slug(name)).count() == 1;
+    (is_certain && is_alone()).then(|| slug(name))
+}
+
+fn how_to_read() -> String {
+    let cells = paragraph(
+        "In the figures, a column is a method and a database. Cells read `rate [low, high] n`: the rate, its interval \
+         and what was counted; n stands at the head of the row where it is the same for all.",
+    );
+    let names: String = reading::names()
+        .iter()
+        .map(|(name, meaning)| item(&format!("{}: {}", code(name), escape(meaning))))
+        .collect();
+    let intervals = paragraph(&format!("{} What each figure means stands at the end.", reading::INTERVALS));
+    format!("## How to read the figures\n\n{cells}\n{names}\n{intervals}")
 }
 
 fn paragraph(prose: &str) -> String {
@@ -45,17 +101,18 @@ fn item(prose: &str) -> String {
 fn header(report: &Report) -> String {
     let header = &report.header;
     let asset = |asset: &Asset| format!("{}, SHA-256 {}", code(&asset.name), code(&asset.sha256));
-    let rows = [
+    let mut rows = vec![
         ("Loci", escape(&header.loci)),
         ("Processor", escape(&header.cpu)),
         ("Hardware threads", cells::thousands(header.cpu_threads as u64)),
         ("Backend", escape(&header.backend)),
         ("Vocabulary", asset(&header.vocabulary)),
         ("CNN", header.model.as_ref().map_or_else(|| NOTHING.to_owned(), asset)),
-        ("Schema", code(report.schema)),
     ];
+    rows.extend(header.suite.as_ref().map(|suite| ("Suite", asset(suite))));
+    rows.push(("Schema", code(report.schema)));
     let rows: Vec<Vec<String>> = rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect();
-    table(&["What", "Which"], &rows, Align::Left)
+    format!("## How these figures were made\n\n{}", table(&["What", "Which"], &rows, Align::Left))
 }
 
 fn experiment(experiment: &Experiment) -> String {
@@ -97,6 +154,11 @@ fn question(experiment: &Experiment) -> String {
     let truth = &experiment.ground_truth;
     let hash = truth.sha256.as_ref().map_or_else(String::new, |hash| format!(" (SHA-256 {})", code(hash)));
     list += &item(&format!("Ground truth{hash}: {}", escape(&truth.definition)));
+    let setting = |(name, value): (&String, &String)| format!("{} {}", code(name), code(value));
+    let settings: Vec<String> = experiment.settings.iter().map(setting).collect();
+    if !settings.is_empty() {
+        list += &item(&format!("Settings: {}", settings.join(", ")));
+    }
     let [known, unknown, unscored] = [truth.known, truth.unknown, truth.unscored].map(cells::thousands);
     list + &item(&format!(
         "Scored query frames: {known} of known places, {unknown} of unknown ones; {unscored} not scored"
@@ -104,18 +166,20 @@ fn question(experiment: &Experiment) -> String {
 }
 
 fn figures(experiment: &Experiment) -> String {
-    let columns = cells::columns_in_use(&experiment.results);
-    if columns.is_empty() {
+    let results = &experiment.results;
+    let measures = cells::measures_in_use(results);
+    if measures.is_empty() {
         return paragraph("Nothing was counted.");
     }
-    let mut head = vec!["Method · database"];
-    head.extend(columns.iter().map(|column| column.title));
-    let row = |result: &MethodResult| {
-        let mut row = vec![palette::label(result)];
-        row.extend(columns.iter().map(|column| cells::line((column.cell)(&result.figures).as_ref())));
-        row
+    let labels: Vec<String> = results.iter().map(palette::label).collect();
+    let head: Vec<&str> = std::iter::once("Figure").chain(labels.iter().map(String::as_str)).collect();
+    let row = |measure: &&cells::Measure| {
+        let (figures, shared_n) = measure.row(results);
+        let counted = shared_n.map_or_else(String::new, |n| format!(" (n {})", cells::thousands(n)));
+        let title = format!("{}{counted}", measure.title);
+        std::iter::once(title).chain(figures.iter().map(|cell| cells::line(cell.as_ref()))).collect()
     };
-    let rows: Vec<Vec<String>> = experiment.results.iter().map(row).collect();
+    let rows: Vec<Vec<String>> = measures.iter().map(row).collect();
     table(&head, &rows, Align::Left)
 }
 
@@ -169,9 +233,9 @@ fn timing(experiment: &Experiment) -> Option<String> {
 }
 
 fn definitions(report: &Report) -> String {
-    let list: String = cells::COLUMNS
+    let list: String = cells::MEASURES
         .iter()
-        .map(|column| item(&format!("**{}**: {}", column.title, escape(&column.definition(report)))))
+        .map(|measure| item(&format!("**{}**: {}", measure.title, escape(&measure.definition(report)))))
         .collect();
     format!("## What the figures mean\n\n{list}")
 }

@@ -1,20 +1,26 @@
 //! An evaluation as people read it: one HTML file that needs nothing beside it, and Markdown; and as
-//! programs read it, JSON. All three show the same [`Report`]; none computes a figure of its own.
+//! programs read it, JSON, with every single answer as CSV. All show the same [`Report`]; none computes a
+//! figure of its own.
 //!
 //! File names are hostile here: everything that comes from data is escaped in `text`.
 
+mod answers;
 mod canvas;
 mod cells;
 mod confusion;
 mod experiment;
+mod glance;
 mod html;
 mod markdown;
 mod pairs;
 mod palette;
 mod precision_recall;
+mod reading;
 mod reliability;
 #[cfg(test)]
 mod sample;
+#[cfg(test)]
+mod table_tests;
 #[cfg(test)]
 mod tests;
 mod text;
@@ -37,6 +43,9 @@ pub enum ReportError {
     /// The report does not fit into JSON.
     #[error("cannot write the report as JSON: {0}")]
     Json(#[from] serde_json::Error),
+    /// The answers do not fit into CSV.
+    #[error("cannot write the answers as CSV: {0}")]
+    Csv(#[from] csv::Error),
 }
 
 /// The report as one HTML file: no network, no scripts, pictures and plots inside.
@@ -63,11 +72,11 @@ pub fn json(report: &Report) -> Result<String, ReportError> {
     Ok(serde_json::to_string_pretty(report)? + "\n")
 }
 
-/// Stub until merged.
+/// Every answer as CSV: a row of heads, then a row an answer; cells are empty where there is nothing to say.
 ///
 /// # Errors
 ///
-/// Never.
-pub fn answers_csv(_: &Report) -> Result<Vec<u8>, ReportError> {
-    Ok(Vec::new())
+/// [`ReportError::Csv`] where a row cannot be written.
+pub fn answers_csv(report: &Report) -> Result<Vec<u8>, ReportError> {
+    answers::table(report)
 }

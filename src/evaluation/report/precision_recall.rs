@@ -9,7 +9,7 @@ use super::{ReportError, cells};
 use crate::evaluation::metrics::PrecisionRecall;
 use crate::evaluation::results::MethodResult;
 
-const SIZE: (u32, u32) = (1000, 620);
+const SIZE: (u32, u32) = (860, 560);
 /// Points of a curve closer than this in recall are drawn as one column.
 const COLUMN: f64 = 1.0 / 1000.0;
 

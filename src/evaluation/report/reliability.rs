@@ -1,5 +1,5 @@
-//! How often an answer is right, over the confidence it was given with: points on the diagonal say
-//! that the confidence is a probability. Below, how many answers each bin holds.
+//! How often the best candidate is right, over the confidence in it: points on the diagonal say that the
+//! confidence is a probability. Below, how many frames each bin holds.
 
 use plotters::prelude::*;
 
@@ -13,7 +13,7 @@ const SIZE: (u32, u32) = (520, 570);
 /// Height of the upper part in the same pixels.
 const UPPER: u32 = 395;
 
-/// The diagram of one method, or `None` where no bin holds an answer.
+/// The diagram of one method, or `None` where no bin holds a frame.
 pub(super) fn plot(result: &MethodResult) -> Result<Option<String>, ReportError> {
     let bins: Vec<&ReliabilityBin> = result.calibration.bins.iter().filter(|bin| is_drawable(bin)).collect();
     if bins.is_empty() {
@@ -50,7 +50,7 @@ fn describe(result: &MethodResult, bins: &[&ReliabilityBin]) -> String {
 
 fn paint_accuracy(area: &Area<'_>, result: &MethodResult, bins: &[&ReliabilityBin]) -> Drawn {
     let mut chart = chart(area, 1.0, 30)?;
-    draw_axes(&mut chart, &Axes { x: "", y: "Right answers", x_labels: 6, y_labels: 6, decimals: 1 })?;
+    draw_axes(&mut chart, &Axes { x: "", y: "Share that is right", x_labels: 6, y_labels: 6, decimals: 1 })?;
     chart.draw_series(DashedLineSeries::new([(0.0, 0.0), (1.0, 1.0)], 6, 6, AXIS.stroke_width(2)))?;
     let color = color(result.method);
     for bin in bins {
@@ -71,7 +71,7 @@ fn paint_counts(area: &Area<'_>, result: &MethodResult, bins: &[&ReliabilityBin]
     let most = bins.iter().map(|bin| bin.n).max().unwrap_or(1) as f64;
     // Room for the numbers over the bars.
     let mut chart = chart(area, most * 1.3, 50)?;
-    draw_axes(&mut chart, &Axes { x: "Confidence", y: "Answers", x_labels: 6, y_labels: 0, decimals: 1 })?;
+    draw_axes(&mut chart, &Axes { x: "Confidence", y: "Frames", x_labels: 6, y_labels: 0, decimals: 1 })?;
     for bin in bins {
         let gap = (bin.high - bin.low) * 0.08;
         let bar = [(bin.low + gap, 0.0), (bin.high - gap, bin.n as f64)];

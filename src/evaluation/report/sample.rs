@@ -7,9 +7,9 @@ use crate::evaluation::metrics::{
     Calibration, Estimate, PrecisionRecall, PrecisionRecallPoint, Proportion, ReliabilityBin,
 };
 use crate::evaluation::results::{
-    Asset, Baseline, Confusion, Database, Experiment, Figures, GroundTruthSummary, Header, ImagePair, Method,
-    MethodResult, Mistake, PaperProtocol, Picture, PublishedRow, Report, SCHEMA, StageLatency,
-    TraverseSummary,
+    AnswerRecord, Asset, Baseline, Confusion, Database, Experiment, Figures, GroundTruthSummary, Header,
+    ImagePair, Method, MethodResult, Mistake, PaperProtocol, Picture, PublishedRow, Report, SCHEMA,
+    StageLatency, TraverseSummary,
 };
 
 /// A name that would break out of any quotation that is not escaped.
@@ -156,8 +156,32 @@ fn result(method: Method, database: Database, index: u32) -> MethodResult {
         calibration: calibration(skill),
         confusion: (database == Database::Map).then(|| confusion(if index == 3 { 48 } else { 181 }, index)),
         worst: if index == 2 { pairs() } else { vec![] },
-        answers: vec![],
+        answers: answers(database),
     }
+}
+
+fn answers(database: Database) -> Vec<AnswerRecord> {
+    let given = AnswerRecord {
+        query: "winter/000001.jpg".into(),
+        is_known: Some(true),
+        is_given: true,
+        confidence: 0.874_321_4,
+        reference: Some("summer/7.jpg".into()),
+        place: (database == Database::Map).then_some(3),
+        is_right: Some(true),
+        reason: "cosine 0.874 ≥ 0.700".into(),
+    };
+    let silent = AnswerRecord {
+        query: HOSTILE.into(),
+        is_known: None,
+        is_given: false,
+        confidence: 0.0,
+        reference: None,
+        place: None,
+        is_right: None,
+        reason: "no candidate".into(),
+    };
+    vec![given, silent]
 }
 
 fn figures(index: u64, skill: f64, founds_places: bool) -> Figures {

@@ -3,6 +3,7 @@
 use super::sample::{HOSTILE, empty, report};
 use super::*;
 use crate::evaluation::metrics::{PrecisionRecall, PrecisionRecallPoint};
+use crate::evaluation::results::Asset;
 
 /// The names of the open tags are balanced, attributes are quoted, and no bare markup is left in text.
 /// Panics with what is wrong.
@@ -53,36 +54,11 @@ fn assert_text(text: &str) {
     }
 }
 
-/// Every cell of the table of figures, in the words of both reports.
-fn figures_of(report: &Report) -> Vec<cells::Cell> {
-    let results = report.experiments.iter().flat_map(|experiment| &experiment.results);
-    results
-        .flat_map(|result| cells::COLUMNS.iter().filter_map(|column| (column.cell)(&result.figures)))
-        .collect()
-}
-
-#[test]
-fn every_figure_stands_in_both_reports() {
-    let report = report();
-    let (page, text) = (html(&report).unwrap(), markdown(&report));
-    let figures = figures_of(&report);
-    assert!(figures.len() > 6 * 11);
-    for cell in figures {
-        assert!(text.contains(&cells::line(Some(&cell))), "{cell:?} is not in Markdown");
-        let interval = cell.interval.as_ref().map_or_else(String::new, |(low, high)| format!("{low}–{high}"));
-        assert!(
-            page.contains(&format!("<strong>{}</strong>", cell.value)) && page.contains(&interval),
-            "{cell:?}"
-        );
-        let counted = cell.n.map_or_else(String::new, |n| format!(">n {}<", cells::thousands(n)));
-        assert!(page.contains(&counted), "{cell:?}");
-    }
-}
-
 #[test]
 fn all_else_that_was_found_stands_in_both_reports() {
     let report = report();
     let hash = "0123456789abcdef".repeat(4);
+    let suite_hash = "89abcdef01234567".repeat(4);
     let truth_hash = "00112233445566778899aabbccddeeff".repeat(2);
     let expected = [
         "0.1.0",
@@ -118,6 +94,13 @@ fn all_else_that_was_found_stands_in_both_reports() {
         "two frames show the same place if they were taken within 10 frames of each other",
         "half a year later",
         "unknown frames that were given an answer / unknown frames",
+        "suite.toml",
+        &suite_hash,
+        "tolerance.frames",
+        "sample_interval",
+        "neighbouring frames are not, so the true intervals are wider",
+        "the CNN alone, which compares whole images",
+        "the map is searched that Loci founds by itself",
     ];
     let flat = markdown(&report).replace("\n  ", " ").replace('\n', " ");
     let page = html(&report).unwrap();
@@ -137,6 +120,8 @@ fn hostile_names_stay_text() {
     report.header.cpu = HOSTILE.into();
     report.header.command = format!("loci evaluate '{HOSTILE}'");
     report.header.settings.insert(HOSTILE.into(), HOSTILE.into());
+    report.header.suite = Some(Asset { name: HOSTILE.into(), sha256: HOSTILE.into() });
+    report.experiments[0].settings.insert(HOSTILE.into(), HOSTILE.into());
     report.experiments[0].name = HOSTILE.into();
     report.experiments[1].baselines = report.experiments[0].baselines.clone();
     report.experiments[1].baselines[0].figure = HOSTILE.into();
@@ -212,17 +197,34 @@ fn markdown_has_even_tables_and_lines_that_fit() {
 }
 
 #[test]
-fn columns_without_a_figure_are_left_out_and_single_gaps_are_dashes() {
+fn rows_without_a_figure_are_left_out_and_single_gaps_are_dashes() {
     let mut report = report();
     for result in &mut report.experiments[0].results {
         result.figures.auroc = None;
     }
     let (page, text) = (html(&report).unwrap(), markdown(&report));
     assert!(!text.contains("| AUROC") && text.contains("| ECE"));
-    assert!(!page.contains(">AUROC</th>") && page.contains(">ECE</th>"));
-    assert_eq!(page.matches("<td class=\"quiet\">–</td>").count(), 1 + 3 + 3);
-    let row = text.lines().find(|line| line.starts_with("| bow_hv · frames")).unwrap();
-    assert_eq!(row.split('|').filter(|cell| cell.trim() == "–").count(), 3);
+    assert!(!page.contains(">AUROC</span>") && page.contains(">ECE</span>"));
+    // One keyframe precision, one method without unjudged answers, and no places in the frames.
+    assert_eq!(page.matches("<td class=\"quiet\">–</td>").count(), 1 + 1 + 3 + 3);
+    let gaps = |title: &str| {
+        let row = text.lines().find(|line| line.starts_with(&format!("| {title}"))).unwrap();
+        row.split('|').filter(|cell| cell.trim() == "–").count()
+    };
+    assert_eq!(["Keyframe", "Unjudged", "Purity", "Places", "ECE"].map(gaps), [1, 1, 3, 3, 0]);
+}
+
+#[test]
+fn answers_to_frames_of_unknown_places_are_told_beside_the_confusion() {
+    let mut report = report();
+    let page = html(&report).unwrap();
+    assert!(page.contains("answers to frames of known places, over 181 true places"));
+    assert!(page.contains("12 more answers were given to frames of unknown places, which have no row."));
+    assert!(page.contains(">\nTrue place of the matched keyframe\n</text>"));
+    for result in &mut report.experiments[0].results {
+        result.confusion.iter_mut().for_each(|confusion| confusion.of_unknown = 1);
+    }
+    assert!(html(&report).unwrap().contains("1 more answer was given to frames of unknown places"));
 }
 
 #[test]

@@ -41,12 +41,14 @@ pub(super) fn of_matrix(
 fn within(path: &Path, matrix: &LoopMatrix, plan: &TraversePlan) -> Result<(), GroundTruthError> {
     let Some(frames) = plan.frame_count() else { return Ok(()) };
     let beyond = |row: &usize| matrix.matches(*row).last().is_some_and(|&last| last as usize >= frames);
-    let rows: Vec<u64> = (0..matrix.rows()).filter(beyond).map(|row| row as u64).collect();
-    if rows.is_empty() {
-        return Ok(());
-    }
-    let reason = format!("counted from 0, they name frames beyond the {frames} of {}", plan.name);
-    Err(GroundTruthError::rows(path, rows, reason))
+    let rows: Vec<usize> = (0..matrix.rows()).filter(beyond).collect();
+    let Some(first) = rows.first() else { return Ok(()) };
+    let reason = format!(
+        "{} query frames, the first {first}, counted from 0, name frames beyond the {frames} of {}",
+        rows.len(),
+        plan.name
+    );
+    Err(GroundTruthError::malformed(path, reason))
 }
 
 /// For each frame the earlier frames of the same place, whichever half of the matrix says so.

@@ -1,12 +1,10 @@
 //! Plans from a ground-truth table: a row for every frame.
 
 use std::collections::HashMap;
-use std::fs;
-use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::{Kind, Pairs, TruthPlan, hash_of};
-use crate::evaluation::ground_truth::{GroundTruthError, Spot, Table, TableSpots, Tolerance};
+use crate::evaluation::ground_truth::{GroundTruthError, Spot, Table, TableSpots, Tolerance, file};
 use crate::evaluation::traverse::{Frames, TraversePlan};
 
 /// Most frames without a row that an error lists.
@@ -17,12 +15,9 @@ pub(super) fn is_table(path: &Path) -> Result<bool, GroundTruthError> {
     if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("csv")) {
         return Ok(false);
     }
-    let read = |error| GroundTruthError::read(path, error);
-    let mut first = Vec::new();
-    let file = fs::File::open(path).map_err(read)?;
-    BufReader::new(file.take(1 << 16)).read_until(b'\n', &mut first).map_err(read)?;
-    let text = String::from_utf8_lossy(&first);
-    let mut words = text.trim_start_matches('\u{feff}').split([',', ';', ' ', '\t', '\r', '\n']);
+    let text = file::read_text(path, file::MAX_MATRIX_BYTES)?;
+    let first = text.lines().next().unwrap_or_default();
+    let mut words = first.split([',', ';', ' ', '\t']);
     Ok(words.any(|word| !word.is_empty() && word.parse::<f64>().is_err()))
 }
 
@@ -150,7 +145,7 @@ mod tests {
             ("file,place\n", true),
             ("7a\n", true),
         ] {
-            fs::write(&path, text).unwrap();
+            std::fs::write(&path, text).unwrap();
             assert_eq!(is_table(&path).unwrap(), expected, "{text:?}");
         }
     }

@@ -21,6 +21,9 @@ scipy.io.savemat("sparse.mat", {"truth": scipy.sparse.csc_matrix(truth)})
 scipy.io.savemat("uint8.mat", {"truth": truth.astype(np.uint8), "fps": 25.0})
 scipy.io.savemat("named.mat", {"gps": np.ones((5, 2)), "GT": truth})
 scipy.io.savemat("several.mat", {"here": truth, "there": truth})
+doubtful = truth.copy()
+doubtful[2, 3] = np.nan
+scipy.io.savemat("nan.mat", {"truth": doubtful})
 scipy.io.savemat("fgps.mat", {"fGPS": np.array([[-27.5, 153.0], [-27.5001, 153.0], [-27.5002, 153.0]])})
 
 # VPR-Bench: rows of a query index and its reference indices.
@@ -55,3 +58,4 @@ save("bool.npy", matrix.astype(bool))
 save("float.npy", matrix.astype(np.float32))
 save("int64.npy", matrix.astype(np.int64))
 save("columns.npy", np.asfortranarray(matrix.astype(float)))
+save("nan.npy", np.where(matrix, [[1, 1, 1], [np.nan, 1, 1]], 0.0))
