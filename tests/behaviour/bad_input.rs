@@ -74,7 +74,8 @@ fn a_source_that_is_none_is_named_with_the_fix() {
     loci(&["run", "/no/such/folder"]).assert_failed(1, &["cannot read /no/such/folder"]);
     let video = folder_with(&[("drive.mp4", b"x")]);
     let path = video.path().join("drive.mp4");
-    loci(&["run", text(&path)]).assert_failed(1, &["drive.mp4", "extract the images"]);
+    loci(&["run", text(&path)])
+        .assert_failed(1, &["drive.mp4", "no video that ffmpeg can read", "convert it again"]);
     loci(&["run", "v4l2:/dev/no-such-camera"]).assert_failed(1, &["camera /dev/no-such-camera"]);
     loci(&["run", "synthetic:moon"]).assert_failed(1, &["moon", "street", "corridor"]);
     loci(&["run", "synthetic:street?lapse=2"]).assert_failed(1, &["lapse", "laps"]);

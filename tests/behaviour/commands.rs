@@ -6,7 +6,7 @@ use crate::program::{loci, text};
 
 #[test]
 fn commands_that_are_not_built_say_so_and_fail() {
-    for command in ["train", "evaluate", "sync", "review", "bench", "devices"] {
+    for command in ["train", "sync", "review", "bench", "devices"] {
         let message = format!("`loci {command}` is not built yet");
         loci(&[command, "--with", "anything"]).assert_failed(1, &[&message]);
     }
@@ -17,8 +17,15 @@ fn commands_that_are_not_built_say_so_and_fail() {
 
 #[test]
 fn help_of_every_built_command_shows_an_example() {
-    let commands: [&[&str]; 6] =
-        [&["run"], &["demo"], &["vocab", "train"], &["vocab", "info"], &["map", "info"], &["doctor"]];
+    let commands: [&[&str]; 7] = [
+        &["run"],
+        &["demo"],
+        &["evaluate"],
+        &["vocab", "train"],
+        &["vocab", "info"],
+        &["map", "info"],
+        &["doctor"],
+    ];
     for command in commands {
         let help = loci(&[command, &["--help"]].concat());
         assert_eq!(help.code, 0);

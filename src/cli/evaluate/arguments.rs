@@ -33,7 +33,7 @@ const EXPERIMENT: [&str; 15] = [
 
 /// Arguments of `loci evaluate`.
 #[derive(Args)]
-#[command(after_help = EXAMPLES, after_long_help = LONG_HELP)]
+#[command(after_help = EXAMPLES, after_long_help = format!("{LONG_HELP}\n\n{EXAMPLES}"))]
 pub(in crate::cli) struct EvaluateArguments {
     /// Traverses to ask about: folders of images, video files, synthetic worlds
     #[arg(value_name = "QUERY", value_hint = ValueHint::AnyPath)]
