@@ -243,10 +243,13 @@ pub struct Confusion {
     /// Number of true places; rows and columns of the matrix, in order of first appearance.
     pub true_places: u32,
     /// Row (true place of the query), column (true place of the matched keyframe) and number of answers.
-    /// All right answers lie on the diagonal.
+    /// The right answers lie on the diagonal, the wrong ones beside it.
     pub cells: Vec<(u32, u32, u64)>,
     /// Answers to frames of places that the reference does not show: wrong, and in no row.
     pub of_unknown: u64,
+    /// Wrong answers whose keyframe bears the label of the query's place, though it lies too far from the
+    /// query itself: in no cell.
+    pub near_misses: u64,
 }
 
 /// Why a pair of images is shown.

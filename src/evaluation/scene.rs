@@ -97,7 +97,7 @@ impl<'a> Scene<'a> {
                 (Relation::Same, Some(truth)) => truth,
                 _ => self.labels[answers.of(judged.asked)?.candidates.first()?.reference]?,
             };
-            Some((truth, named))
+            Some((truth, named, judged.best == Relation::Same))
         });
         Some(confusion(u32::try_from(places).ok()?, cells))
     }

@@ -98,19 +98,23 @@ pub fn score(judged: &[Judged]) -> Score {
 }
 
 /// Which true place was taken for which. `answered` has, for every answer given, the label of the query's
-/// true place (`None` if the reference does not show it) and that of the place named.
+/// true place (`None` if the reference does not show it), that of the place named, and whether it is right.
 #[must_use]
-pub fn confusion(true_places: u32, answered: impl IntoIterator<Item = (Option<u32>, u32)>) -> Confusion {
+pub fn confusion(
+    true_places: u32,
+    answered: impl IntoIterator<Item = (Option<u32>, u32, bool)>,
+) -> Confusion {
     let mut counts = std::collections::BTreeMap::new();
-    let mut of_unknown = 0;
-    for (row, column) in answered {
+    let (mut of_unknown, mut near_misses) = (0, 0);
+    for (row, column, is_right) in answered {
         match row {
-            Some(row) => *counts.entry((row, column)).or_insert(0) += 1,
             None => of_unknown += 1,
+            Some(row) if row == column && !is_right => near_misses += 1,
+            Some(row) => *counts.entry((row, column)).or_insert(0) += 1,
         }
     }
     let cells = counts.into_iter().map(|((row, column), n)| (row, column, n)).collect();
-    Confusion { true_places, cells, of_unknown }
+    Confusion { true_places, cells, of_unknown, near_misses }
 }
 
 #[cfg(test)]
@@ -205,7 +209,14 @@ mod tests {
 
     #[test]
     fn confusions_are_counted_a_cell() {
-        let confusion = confusion(3, [(Some(0), 0), (Some(0), 2), (None, 1), (Some(0), 0)]);
-        assert_eq!((confusion.cells, confusion.of_unknown), (vec![(0, 0, 2), (0, 2, 1)], 1));
+        let right = (Some(0), 0, true);
+        let answered = [right, (Some(0), 2, false), (None, 1, false), right, (Some(1), 1, false)];
+        let confusion = confusion(3, answered);
+        assert_eq!(confusion.cells, [(0, 0, 2), (0, 2, 1)]);
+        assert_eq!(
+            (confusion.of_unknown, confusion.near_misses),
+            (1, 1),
+            "of unknown places, and too far off"
+        );
     }
 }

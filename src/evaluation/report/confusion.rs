@@ -77,6 +77,10 @@ fn caption(confusion: &Confusion, binned: &Binned) -> String {
         let more = cells::counted(confusion.of_unknown, "more answer was", "more answers were");
         caption += &format!(" {more} given to frames of unknown places, which have no row.");
     }
+    if confusion.near_misses > 0 {
+        let more = cells::counted(confusion.near_misses, "more was", "more were");
+        caption += &format!(" {more} wrong within one label: too far off along the same place.");
+    }
     if binned.places_per_row > 1 {
         caption += &format!(" Binned: {} places share a row and a column.", binned.places_per_row);
     }
@@ -120,8 +124,12 @@ mod tests {
 
     #[test]
     fn more_places_than_rows_share_them() {
-        let confusion =
-            Confusion { true_places: 121, cells: vec![(0, 2, 3), (120, 120, 5), (121, 0, 9)], of_unknown: 0 };
+        let confusion = Confusion {
+            true_places: 121,
+            cells: vec![(0, 2, 3), (120, 120, 5), (121, 0, 9)],
+            of_unknown: 0,
+            near_misses: 0,
+        };
         let binned = Binned::new(&confusion);
         assert_eq!((binned.size, binned.places_per_row), (41, 3));
         assert_eq!((binned.counts[0], binned.counts[41 * 41 - 1]), (3, 5));
@@ -130,17 +138,20 @@ mod tests {
 
     #[test]
     fn sixty_places_keep_a_row_each() {
-        let binned = Binned::new(&Confusion { true_places: 60, cells: vec![], of_unknown: 0 });
+        let binned =
+            Binned::new(&Confusion { true_places: 60, cells: vec![], of_unknown: 0, near_misses: 0 });
         assert_eq!((binned.size, binned.places_per_row), (60, 1));
         let huge = Binned::new(&Confusion {
             true_places: u32::MAX,
             cells: vec![(u32::MAX, 0, 1), (7, 7, u64::MAX)],
             of_unknown: 0,
+            near_misses: 0,
         });
         assert!(huge.size <= LARGEST);
         assert_eq!(huge.answers, u64::MAX);
         assert_eq!(
-            Binned::new(&Confusion { true_places: 0, cells: vec![(0, 0, 1)], of_unknown: 0 }).answers,
+            Binned::new(&Confusion { true_places: 0, cells: vec![(0, 0, 1)], of_unknown: 0, near_misses: 0 })
+                .answers,
             0
         );
     }

@@ -250,7 +250,7 @@ fn confusion(true_places: u32, seed: u32) -> Confusion {
     let mut cells: Vec<(u32, u32, u64)> =
         (0..true_places).map(|place| (place, place, u64::from(3 + place * 7 % 11))).collect();
     cells.extend((0..true_places).step_by(5).map(|place| (place, (place * 31 + seed) % true_places, 1)));
-    Confusion { true_places, cells, of_unknown: 12 }
+    Confusion { true_places, cells, of_unknown: 12, near_misses: 3 }
 }
 
 fn pairs() -> Vec<ImagePair> {
