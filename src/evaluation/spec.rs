@@ -323,10 +323,11 @@ impl FramesSpec {
     /// Refuses what only folders have, where none is given.
     fn check(&self, sources: &[Option<String>; 3]) -> Result<(), EvaluationError> {
         above_zero("spacing", self.spacing, "metres")?;
+        let has_rows = sources[0].is_none() || self.reference_rows.is_some();
         let of_folders = [
             self.layout.as_ref().map(|_| "layout"),
             self.camera.as_ref().map(|_| "camera"),
-            self.spacing.map(|_| "spacing"),
+            self.spacing.filter(|_| !has_rows).map(|_| "spacing"),
         ];
         let has_folder = sources.iter().flatten().any(|source| Path::new(source).is_dir());
         match of_folders.into_iter().flatten().next().filter(|_| !has_folder) {
@@ -387,7 +388,8 @@ impl FramesSpec {
         };
         let filter: RowFilter =
             rows.parse().map_err(|error: RowFilterError| EvaluationError::Wrong(error.to_string()))?;
-        Ok(TraversePlan::of_rows(&Table::read(path)?, &filter, self.sample_interval())?)
+        let thinning = (self.sample_interval(), self.spacing);
+        Ok(TraversePlan::of_rows(&Table::read(path)?, &filter, thinning)?)
     }
 }
 
@@ -482,7 +484,6 @@ mod tests {
         for (option, named) in [
             ("truth.lap-tolerance = 0.1", "lap-tolerance"),
             ("truth.place-tolerance = 1", "place-tolerance"),
-            ("frames.spacing = 5.0", "spacing"),
             ("frames.layout = 'kitti'", "layout"),
             ("frames.camera = 'left'", "camera"),
         ] {
@@ -495,6 +496,16 @@ mod tests {
         let twice = format!("{world}truth = {{ from = 'radius=3', radius = 25.0 }}");
         assert!(refused(&spec_of(&twice)).contains("radius"));
         assert!(rows("truth.radius = 5.0").plan(Path::new("")).is_ok(), "positions have a radius");
+    }
+
+    #[test]
+    fn rows_of_positions_are_thinned_and_other_rows_cannot_be() {
+        let (_folder, table) = line();
+        let spaced = spec_of(&format!("truth.from = '{}'\nframes.spacing = 15.0", table.display()));
+        assert_eq!(spaced.plan(Path::new("")).unwrap().frames.query.frame_count(), Some(2), "0, 20 m");
+        let text = fs::read_to_string(&table).unwrap().replace("easting,northing", "place,x");
+        fs::write(&table, text).unwrap();
+        assert!(refused(&spaced).contains("a spacing needs the columns easting and northing"));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::EvaluationError;
-use super::ground_truth::{GroundTruthError, LoopMatrix, RowFilter, Table};
+use super::ground_truth::{GroundTruthError, LoopMatrix, RowFilter, Table, position};
 use super::layout::{self, Layout, LayoutOptions};
 use super::results::TraverseSummary;
 use crate::cnn::DescriptorModel;
@@ -118,16 +118,22 @@ impl TraversePlan {
         Ok(Self::of_frames(address.to_owned(), frames, sample_interval))
     }
 
-    /// The traverse that the chosen rows of a ground-truth table are.
+    /// The traverse that the chosen rows of a ground-truth table are; with `spacing_metres`, those at least so
+    /// far from the one kept before.
     ///
     /// # Errors
-    /// If no row is chosen, or one names a file that is not there.
+    /// If no row is chosen, one names a file that is not there, or positions are missing.
     pub fn of_rows(
         table: &Table,
         filter: &RowFilter,
-        sample_interval: u64,
+        (sample_interval, spacing_metres): (u64, Option<f64>),
     ) -> Result<Self, GroundTruthError> {
-        let rows = filter.choose(table)?;
+        let mut rows = filter.choose(table)?;
+        if let Some(metres) = spacing_metres {
+            let all = table.positions_metres()?;
+            let positions: Vec<[f64; 2]> = rows.iter().map(|&row| all[row]).collect();
+            rows = position::spaced(&positions, metres).into_iter().map(|index| rows[index]).collect();
+        }
         let files = table.files(table.file_column(filter.files())?)?;
         let folder = table.path().parent().map(folder_name).unwrap_or_default();
         let name = match filter.to_string() {

@@ -70,7 +70,7 @@ struct FrameArguments {
     /// Camera of a layout that has two: left or right [default: left]
     #[arg(long, value_name = "SIDE")]
     camera: Option<String>,
-    /// Keep frames at least this far apart, where a layout knows positions [default: the layout's]
+    /// Keep frames at least this far apart, where positions are known [default: the layout's]
     #[arg(long, value_name = "METRES")]
     spacing: Option<f64>,
     /// Look at every N-th frame [default: 1]

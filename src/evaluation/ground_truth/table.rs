@@ -189,6 +189,22 @@ impl Table {
         Ok(TableSpots::Spots(spots))
     }
 
+    /// Where each row's frame was taken, in metres.
+    ///
+    /// # Errors
+    /// If rows are wrong, or no columns say it.
+    pub fn positions_metres(&self) -> Result<Vec<[f64; 2]>, GroundTruthError> {
+        let at = |spot| match spot {
+            Spot::Metres(at) => Some(at),
+            _ => None,
+        };
+        let positions: Option<Vec<[f64; 2]>> = self.spots_of_all_rows(false)?.into_iter().map(at).collect();
+        positions.ok_or_else(|| {
+            let reason = "a spacing needs the columns easting and northing, or latitude and longitude";
+            GroundTruthError::malformed(&self.path, reason)
+        })
+    }
+
     /// Whether anything is said about each row.
     fn scored_rows(&self) -> Result<Vec<bool>, GroundTruthError> {
         let mut is_scored = vec![true; self.rows.len()];
