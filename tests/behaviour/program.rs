@@ -56,7 +56,8 @@ pub(crate) fn loci_without_runtime<A: AsRef<OsStr>>(arguments: &[A]) -> Finished
 }
 
 fn finished(command: &mut Command) -> Finished {
-    let output = command.env("RUST_BACKTRACE", "0").output().unwrap();
+    // Suites start from LOCI_DATA where it is set; those of tests stand beside their data.
+    let output = command.env("RUST_BACKTRACE", "0").env_remove("LOCI_DATA").output().unwrap();
     Finished {
         code: output.status.code().expect("ended by a signal"),
         stdout: String::from_utf8(output.stdout).unwrap(),
