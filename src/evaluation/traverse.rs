@@ -91,6 +91,10 @@ impl TraversePlan {
             return Self::of_source(source, sample_interval);
         }
         if layout == Layout::Images && image_files(path).is_err() {
+            if *options != LayoutOptions::default() {
+                let reason = format!("spacing and camera have no meaning for the subfolders of {source}");
+                return Err(EvaluationError::Wrong(reason));
+            }
             let files = files_of_subfolders(path)?;
             return Ok(Self::of_frames(folder_name(path), Frames::Files(files), sample_interval));
         }

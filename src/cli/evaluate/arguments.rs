@@ -163,8 +163,8 @@ const LONG_HELP: &str = "\
 Ground-truth tables have a row a frame. Column `file` or `image` names it, relative to the table; where it \
 was taken stands in the first of these columns that there is: `same_place_as` (earlier files of the same \
 place, separated by spaces), `lap_phase`, `easting` and `northing`, `latitude` and `longitude`, `place`, any \
-that ends in `_visible` (places in view, separated by spaces). A `reliable` or `usable` of 0 leaves a row \
-unscored.
+that ends in `_visible` (places in view, separated by spaces). A `reliable` or `usable` of 0, or an empty \
+`_visible`, leaves a row unscored.
 
 Loop matrices have a row a query frame and a column a reference frame: text, MATLAB (save with -v7), NumPy, \
 or VPR-Bench's ground_truth_new.npy.

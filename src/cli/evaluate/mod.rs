@@ -11,6 +11,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressDrawTarget};
 use loci::cnn::CnnError;
+use loci::evaluation::layout::LayoutError;
 use loci::evaluation::results::{Asset, Experiment, Report};
 use loci::evaluation::{self, EvaluationError, Evaluator, ExperimentPlan, Suite, report};
 use loci::pipeline::{Seen, Watcher};
@@ -66,9 +67,9 @@ fn plans(
 /// What was asked for and makes no sense is a wrong argument; what fails is not.
 fn wrong_argument(error: EvaluationError) -> anyhow::Error {
     match error {
-        EvaluationError::Wrong(_) | EvaluationError::PaperNeedsReference => {
-            WrongArgument(error.to_string()).into()
-        }
+        EvaluationError::Wrong(_)
+        | EvaluationError::PaperNeedsReference
+        | EvaluationError::Layout(LayoutError::BadOption { .. }) => WrongArgument(error.to_string()).into(),
         error => error.into(),
     }
 }

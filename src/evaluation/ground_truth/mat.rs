@@ -2,85 +2,124 @@
 //! truth: full or sparse, of any numeric class or logical, compressed or not.
 //!
 //! Read here rather than by the crate `matfile`, which leaves sparse matrices out and bounds nothing.
+//! Numbers stay as they are stored until they are asked for: a few bytes may stand for very many.
 //! Format: MathWorks, *MAT-File Format*, level 5.
 
 use std::io::Read;
 
 use flate2::read::ZlibDecoder;
 
-use super::loop_matrix::{MAX_PAIRS, too_many_pairs};
-
 /// Most bytes that all compressed variables of a file together may unpack to.
-const MAX_UNPACKED_BYTES: u64 = 512 << 20;
-/// Most rows or columns of a matrix: a million frames.
-const MAX_FRAMES: usize = 1 << 20;
+const MAX_UNPACKED_BYTES: u64 = 256 << 20;
+/// Most variables in a file.
+const MAX_VARIABLES: usize = 10_000;
 const HEADER_BYTES: usize = 128;
 const TYPE_MATRIX: u32 = 14;
 const TYPE_COMPRESSED: u32 = 15;
 const CLASS_SPARSE: u8 = 5;
+/// Longest element that stands in its tag.
+const MAX_SMALL_BYTES: u32 = 4;
+
+/// The variables of a file, unpacked.
+pub(super) struct MatFile<'a> {
+    endian: Endian,
+    variables: Vec<Variable<'a>>,
+}
+
+enum Variable<'a> {
+    /// The bytes of a matrix.
+    Plain(&'a [u8]),
+    /// A data element.
+    Unpacked(Vec<u8>),
+}
 
 /// A variable that is a matrix of numbers.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct MatMatrix {
+pub(super) struct MatMatrix<'a> {
     /// Its name.
     pub(super) name: String,
     /// Number of rows.
     pub(super) rows: usize,
     /// Number of columns.
     pub(super) columns: usize,
-    /// Row and column of every element that is not zero, by columns; or why it is no loop matrix.
-    pub(super) nonzero: Result<Vec<(u32, u32)>, String>,
-    /// The elements by columns, of a full matrix of two rows or columns.
-    pub(super) pairs: Option<Vec<f64>>,
+    elements: Elements<'a>,
 }
 
-/// The matrices in the bytes of a file; other variables are left out.
-pub(super) fn read(bytes: &[u8]) -> Result<Vec<MatMatrix>, String> {
-    if bytes.starts_with(b"MATLAB 7.3") || bytes.get(..4) == Some(b"\x89HDF") {
+enum Elements<'a> {
+    /// All of them, by columns.
+    Full(Numbers<'a>),
+    Sparse(Sparse<'a>),
+}
+
+impl<'a> MatFile<'a> {
+    /// Reads the bytes of a file.
+    pub(super) fn read(bytes: &'a [u8]) -> Result<Self, String> {
+        Self::read_within(bytes, MAX_UNPACKED_BYTES)
+    }
+
+    /// Reads the bytes of a file whose compressed variables may unpack to `most_bytes`.
+    fn read_within(bytes: &'a [u8], most_bytes: u64) -> Result<Self, String> {
+        let endian = endian(bytes)?;
+        let mut bytes_left = most_bytes;
+        let mut variables = Vec::new();
+        let mut rest = Parts { bytes: &bytes[HEADER_BYTES..], endian };
+        while let Some(part) = rest.next()? {
+            match part.kind {
+                TYPE_MATRIX => variables.push(Variable::Plain(part.bytes)),
+                TYPE_COMPRESSED => {
+                    let unpacked = unpack(part.bytes, bytes_left)?.ok_or_else(|| {
+                        format!(
+                            "its variables unpack to more than {most_bytes} bytes; save the ground truth only"
+                        )
+                    })?;
+                    bytes_left -= unpacked.len() as u64;
+                    variables.push(Variable::Unpacked(unpacked));
+                }
+                _ => {}
+            }
+            if variables.len() > MAX_VARIABLES {
+                return Err(format!("more than {MAX_VARIABLES} variables; save the ground truth only"));
+            }
+        }
+        Ok(Self { endian, variables })
+    }
+
+    /// Those variables that are matrices of numbers.
+    pub(super) fn matrices(&self) -> Result<Vec<MatMatrix<'_>>, String> {
+        let mut matrices = Vec::new();
+        for variable in &self.variables {
+            let bytes = match variable {
+                Variable::Plain(bytes) => bytes,
+                Variable::Unpacked(bytes) => match (Parts { bytes, endian: self.endian }).next()? {
+                    Some(Part { kind: TYPE_MATRIX, bytes }) => bytes,
+                    _ => continue,
+                },
+            };
+            matrices.extend(matrix(Parts { bytes, endian: self.endian })?);
+        }
+        Ok(matrices)
+    }
+}
+
+fn endian(bytes: &[u8]) -> Result<Endian, String> {
+    if bytes.starts_with(b"MATLAB 7.3") || bytes.starts_with(b"\x89HDF") {
         return Err("it is a MATLAB 7.3 (HDF5) file; save it again with -v7".to_owned());
     }
-    let header = bytes.get(..HEADER_BYTES).ok_or("it is too short for a MATLAB file")?;
-    let endian = match &header[126..] {
-        b"IM" => Endian::Little,
-        b"MI" => Endian::Big,
-        _ => return Err("it is no MATLAB 5 file; save it with -v7".to_owned()),
-    };
-    let mut matrices = Vec::new();
-    let mut unpacked_left = MAX_UNPACKED_BYTES;
-    let mut rest = Elements { bytes: &bytes[HEADER_BYTES..], endian };
-    while let Some(element) = rest.next()? {
-        match element.kind {
-            TYPE_MATRIX => matrices.extend(matrix(element.bytes, endian)?),
-            TYPE_COMPRESSED => {
-                let unpacked = unpack(element.bytes, unpacked_left)?;
-                unpacked_left -= unpacked.len() as u64;
-                let mut inside = Elements { bytes: &unpacked, endian };
-                if let Some(element) = inside.next()?.filter(|element| element.kind == TYPE_MATRIX) {
-                    matrices.extend(matrix(element.bytes, endian)?);
-                }
-            }
-            _ => {}
-        }
-        let pairs = matrices.iter().filter_map(|matrix| matrix.nonzero.as_ref().ok()).map(Vec::len);
-        if pairs.sum::<usize>() > MAX_PAIRS {
-            return Err(too_many_pairs());
-        }
+    let header = bytes.get(..HEADER_BYTES).ok_or("it is too short for a MATLAB file; copy it again")?;
+    match &header[126..] {
+        b"IM" => Ok(Endian::Little),
+        b"MI" => Ok(Endian::Big),
+        _ => Err("it is no MATLAB 5 file; save it with -v7".to_owned()),
     }
-    Ok(matrices)
 }
 
-/// What a compressed variable unpacks to, if that is not more than `most_bytes`.
-fn unpack(bytes: &[u8], most_bytes: u64) -> Result<Vec<u8>, String> {
-    let mut unpacked = Vec::new();
-    ZlibDecoder::new(bytes)
+/// The bytes that were packed, unless they are more than `most_bytes`.
+fn unpack(packed: &[u8], most_bytes: u64) -> Result<Option<Vec<u8>>, String> {
+    let mut bytes = Vec::new();
+    ZlibDecoder::new(packed)
         .take(most_bytes + 1)
-        .read_to_end(&mut unpacked)
-        .map_err(|error| format!("a variable cannot be unpacked: {error}"))?;
-    if unpacked.len() as u64 > most_bytes {
-        let most = MAX_UNPACKED_BYTES >> 20;
-        return Err(format!("it unpacks to more than {most} MiB; save the loop matrix alone"));
-    }
-    Ok(unpacked)
+        .read_to_end(&mut bytes)
+        .map_err(|error| format!("a variable cannot be unpacked ({error}); copy the file again"))?;
+    Ok((bytes.len() as u64 <= most_bytes).then_some(bytes))
 }
 
 #[derive(Clone, Copy)]
@@ -100,23 +139,24 @@ impl Endian {
     }
 }
 
-struct Element<'a> {
+/// A data element, as the format calls it.
+struct Part<'a> {
     kind: u32,
     bytes: &'a [u8],
 }
 
 /// Data elements, one after the other.
-struct Elements<'a> {
+struct Parts<'a> {
     bytes: &'a [u8],
     endian: Endian,
 }
 
-impl<'a> Elements<'a> {
-    fn next(&mut self) -> Result<Option<Element<'a>>, String> {
+impl<'a> Parts<'a> {
+    fn next(&mut self) -> Result<Option<Part<'a>>, String> {
         if self.bytes.is_empty() {
             return Ok(None);
         }
-        let torn = || "a data element is torn".to_owned();
+        let torn = || "a data element is torn; copy the file again".to_owned();
         let word = |at: usize| self.bytes.get(at..at + 4).map(|word| self.endian.unsigned(word) as u32);
         let first = word(0).ok_or_else(torn)?;
         // Up to four bytes stand in the tag itself, their number in its upper half.
@@ -126,30 +166,21 @@ impl<'a> Elements<'a> {
                 let padded = if first == TYPE_COMPRESSED { length } else { length.next_multiple_of(8) };
                 (first, 8, length, 8 + padded)
             }
-            small => (first & 0xFFFF, 4, small as usize, 8),
+            small if small <= MAX_SMALL_BYTES => (first & 0xFFFF, 4, small as usize, 8),
+            _ => return Err(torn()),
         };
         let bytes = self.bytes.get(start..start + length).ok_or_else(torn)?;
         self.bytes = self.bytes.get(padded..).unwrap_or_default();
-        Ok(Some(Element { kind, bytes }))
+        Ok(Some(Part { kind, bytes }))
     }
 
-    fn expect(&mut self) -> Result<Element<'a>, String> {
-        self.next()?.ok_or_else(|| "a matrix is torn".to_owned())
+    fn expect(&mut self) -> Result<Part<'a>, String> {
+        self.next()?.ok_or_else(|| "a matrix is torn; copy the file again".to_owned())
     }
-}
 
-/// The numbers of an element, converted one by one: all at once they may take eight times its bytes.
-#[derive(Clone, Copy)]
-struct Numbers<'a> {
-    bytes: &'a [u8],
-    endian: Endian,
-    width: usize,
-    convert: fn(u64) -> f64,
-}
-
-impl<'a> Numbers<'a> {
-    fn of(element: &Element<'a>, endian: Endian) -> Result<Self, String> {
-        let (width, convert): (usize, fn(u64) -> f64) = match element.kind {
+    fn numbers(&mut self) -> Result<Numbers<'a>, String> {
+        let part = self.expect()?;
+        let (width, convert): (usize, fn(u64) -> f64) = match part.kind {
             1 => (1, |bits| f64::from(bits as u8 as i8)),
             2 => (1, |bits| bits as f64),
             3 => (2, |bits| f64::from(bits as u16 as i16)),
@@ -160,11 +191,22 @@ impl<'a> Numbers<'a> {
             9 => (8, f64::from_bits),
             12 => (8, |bits| bits as i64 as f64),
             13 => (8, |bits| bits as f64),
-            other => return Err(format!("data of type {other} are not numbers")),
+            other => return Err(format!("data of type {other} are not numbers; save it with -v7")),
         };
-        Ok(Self { bytes: element.bytes, endian, width, convert })
+        Ok(Numbers { bytes: part.bytes, endian: self.endian, width, convert })
     }
+}
 
+/// The numbers of a data element of a numeric type, as they are stored.
+#[derive(Clone, Copy)]
+struct Numbers<'a> {
+    bytes: &'a [u8],
+    endian: Endian,
+    width: usize,
+    convert: fn(u64) -> f64,
+}
+
+impl Numbers<'_> {
     fn len(&self) -> usize {
         self.bytes.len() / self.width
     }
@@ -175,111 +217,203 @@ impl<'a> Numbers<'a> {
         Some((self.convert)(self.endian.unsigned(bytes)))
     }
 
-    fn iter(self) -> impl Iterator<Item = f64> + 'a {
-        self.bytes.chunks_exact(self.width).map(move |bytes| (self.convert)(self.endian.unsigned(bytes)))
+    /// The number at `index`, if it is one to count with.
+    fn count(&self, index: usize) -> Option<usize> {
+        self.get(index)
+            .filter(|number| number.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(number))
+            .map(|number| number as usize)
     }
 }
 
-/// The matrix in an element's bytes; `None` for variables of another class or with more dimensions.
-fn matrix(bytes: &[u8], endian: Endian) -> Result<Option<MatMatrix>, String> {
-    let mut parts = Elements { bytes, endian };
-    let flags = parts.expect()?;
-    let class = endian.unsigned(flags.bytes.get(..4).ok_or("a matrix is torn")?) as u8;
+/// The matrix of these parts; `None` for variables of another class or with more dimensions.
+fn matrix(mut parts: Parts<'_>) -> Result<Option<MatMatrix<'_>>, String> {
+    let flags = parts.expect()?.bytes;
+    let flags = flags.get(..4).ok_or("a matrix is torn; copy the file again")?;
+    let class = parts.endian.unsigned(flags) as u8;
     // Cells, structures, objects and text are no matrices of numbers.
     if !(CLASS_SPARSE..=15).contains(&class) {
         return Ok(None);
     }
-    let sizes: Vec<f64> = Numbers::of(&parts.expect()?, endian)?.iter().take(3).collect();
-    let &[rows, columns] = sizes.as_slice() else { return Ok(None) };
-    let size = |size: f64| (0.0..=MAX_FRAMES as f64).contains(&size).then_some(size as usize);
+    let sizes = parts.numbers()?;
+    if sizes.len() != 2 {
+        return Ok(None);
+    }
+    let (rows, columns) = sizes.count(0).zip(sizes.count(1)).ok_or("a matrix has an impossible size")?;
     let name = String::from_utf8_lossy(parts.expect()?.bytes).into_owned();
-    let too_large = || format!("{name} has {rows} × {columns} elements, more than {MAX_FRAMES} in a row");
-    let (rows, columns) = size(rows).zip(size(columns)).ok_or_else(too_large)?;
-    let mut numbers = || Numbers::of(&parts.expect()?, endian);
-    if class == CLASS_SPARSE {
-        let (row_indices, column_starts, values) = (numbers()?, numbers()?, numbers()?);
-        let nonzero = sparse(row_indices, column_starts, values, (rows, columns));
-        return Ok(Some(MatMatrix { name, rows, columns, nonzero, pairs: None }));
-    }
-    let values = numbers()?;
-    if Some(values.len()) != rows.checked_mul(columns) {
-        return Err(format!("{name} has {} elements, not {rows} × {columns}", values.len()));
-    }
-    let has_pairs = rows == 2 || columns == 2;
-    let pairs = has_pairs.then(|| values.iter().collect());
-    Ok(Some(MatMatrix { name, rows, columns, nonzero: positions(values, rows), pairs }))
-}
-
-fn positions(values: Numbers<'_>, rows: usize) -> Result<Vec<(u32, u32)>, String> {
-    let mut nonzero = Vec::new();
-    for (index, value) in values.iter().enumerate().filter(|(_, value)| *value != 0.0) {
-        push(&mut nonzero, ((index % rows) as u32, (index / rows) as u32), value)?;
-    }
-    Ok(nonzero)
-}
-
-fn push(nonzero: &mut Vec<(u32, u32)>, at: (u32, u32), value: f64) -> Result<(), String> {
-    if value.is_nan() {
-        return Err(format!("query frame {}, counted from 0, has a NaN; it should have 0 or 1", at.0));
-    }
-    if nonzero.len() == MAX_PAIRS {
-        return Err(too_many_pairs());
-    }
-    nonzero.push(at);
-    Ok(())
-}
-
-/// The positions of a sparse matrix: rows of all elements, and for each column where its own begin.
-fn sparse(
-    row_indices: Numbers<'_>,
-    column_starts: Numbers<'_>,
-    values: Numbers<'_>,
-    (rows, columns): (usize, usize),
-) -> Result<Vec<(u32, u32)>, String> {
-    if column_starts.len() != columns + 1 {
-        return Err("it has no start for every column".to_owned());
-    }
-    let mut nonzero = Vec::new();
-    for (column, (first, last)) in column_starts.iter().zip(column_starts.iter().skip(1)).enumerate() {
-        if !(0.0 <= first && first <= last && last <= row_indices.len() as f64) {
-            return Err(format!("column {column} reaches beyond its elements"));
+    let elements = if class == CLASS_SPARSE {
+        let sparse = Sparse {
+            row_indices: parts.numbers()?,
+            column_starts: parts.numbers()?,
+            values: parts.numbers()?,
+        };
+        sparse.check(rows, columns).map_err(|reason| format!("{name} {reason}; save it again"))?;
+        Elements::Sparse(sparse)
+    } else {
+        let values = parts.numbers()?;
+        if Some(values.len()) != rows.checked_mul(columns) {
+            return Err(format!(
+                "{name} has {} elements, not {rows} × {columns}; save it again",
+                values.len()
+            ));
         }
-        for element in first as usize..last as usize {
-            let row = row_indices.get(element).filter(|row| (0.0..rows as f64).contains(row));
-            let row =
-                row.ok_or_else(|| format!("column {column} has an element in none of the {rows} rows"))?;
-            // A pattern without values counts as all ones.
-            let value = values.get(element).unwrap_or(1.0);
-            if value != 0.0 {
-                push(&mut nonzero, (row as u32, column as u32), value)?;
+        Elements::Full(values)
+    };
+    Ok(Some(MatMatrix { name, rows, columns, elements }))
+}
+
+impl MatMatrix<'_> {
+    /// The element in `row` and `column`, where all are stored.
+    pub(super) fn get(&self, row: usize, column: usize) -> Option<f64> {
+        match &self.elements {
+            Elements::Full(values) if row < self.rows => values.get(column * self.rows + row),
+            _ => None,
+        }
+    }
+
+    /// Calls `visit` with row, column and value of every stored element, by ascending columns.
+    pub(super) fn try_for_each<E>(
+        &self,
+        mut visit: impl FnMut(u32, u32, f64) -> Result<(), E>,
+    ) -> Result<(), E> {
+        match &self.elements {
+            Elements::Full(values) => {
+                // Without rows there are no elements, however many columns are claimed.
+                let columns = if self.rows == 0 { 0 } else { self.columns };
+                for column in 0..columns {
+                    for row in 0..self.rows {
+                        let value = values.get(column * self.rows + row).unwrap_or_default();
+                        visit(row as u32, column as u32, value)?;
+                    }
+                }
+                Ok(())
             }
+            Elements::Sparse(sparse) => sparse.try_for_each(self.columns, visit),
         }
     }
-    Ok(nonzero)
+}
+
+/// The elements of a sparse matrix: the row of each, where each column begins among them, and their
+/// values; without any values all are ones.
+struct Sparse<'a> {
+    row_indices: Numbers<'a>,
+    column_starts: Numbers<'a>,
+    values: Numbers<'a>,
+}
+
+impl Sparse<'_> {
+    /// Fails unless every element has a row, a column and a value.
+    fn check(&self, rows: usize, columns: usize) -> Result<(), String> {
+        if self.column_starts.len() != columns + 1 || self.column_starts.count(0) != Some(0) {
+            return Err("has no start for every column".to_owned());
+        }
+        let mut elements = 0;
+        for column in 1..=columns {
+            let start = self.column_starts.count(column).filter(|&start| start >= elements);
+            elements = start.ok_or("has a column that ends before it begins")?;
+        }
+        if elements > self.row_indices.len() {
+            return Err("has a column that reaches beyond its elements".to_owned());
+        }
+        if self.values.len() > 0 && elements > self.values.len() {
+            return Err(format!("has {} values for {elements} elements", self.values.len()));
+        }
+        match (0..elements).find(|&element| self.row_indices.count(element).is_none_or(|row| row >= rows)) {
+            Some(element) => Err(format!("has an element, number {element}, in none of its {rows} rows")),
+            None => Ok(()),
+        }
+    }
+
+    fn try_for_each<E>(
+        &self,
+        columns: usize,
+        mut visit: impl FnMut(u32, u32, f64) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut start = 0;
+        for column in 0..columns {
+            let end = self.column_starts.count(column + 1).unwrap_or(start);
+            for element in start..end {
+                let row = self.row_indices.count(element).unwrap_or_default();
+                visit(row as u32, column as u32, self.values.get(element).unwrap_or(1.0))?;
+            }
+            start = end;
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flate2::Compression;
+    use flate2::write::ZlibEncoder;
     use proptest::prelude::*;
+    use std::io::Write;
 
     fn fixture(name: &str) -> Vec<u8> {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/ground_truth/");
         std::fs::read(format!("{folder}{name}")).unwrap()
     }
 
+    /// Name, size and elements that are not zero of every matrix in a file.
+    type Content = Vec<(String, [usize; 2], Vec<(u32, u32)>)>;
+
+    fn read_within(bytes: &[u8], most_bytes: u64) -> Result<Content, String> {
+        let file = MatFile::read_within(bytes, most_bytes)?;
+        let content = |matrix: MatMatrix<'_>| {
+            let mut nonzero = Vec::new();
+            let read = matrix.try_for_each(|row, column, value| {
+                nonzero.extend((value != 0.0).then_some((row, column)));
+                Ok::<_, String>(())
+            });
+            read.map(|()| (matrix.name, [matrix.rows, matrix.columns], nonzero))
+        };
+        file.matrices()?.into_iter().map(content).collect()
+    }
+
+    fn read(bytes: &[u8]) -> Result<Content, String> {
+        read_within(bytes, MAX_UNPACKED_BYTES)
+    }
+
     /// What `make.py` stores in every file: 4 × 5, with these elements other than zero.
     const NONZERO: [(u32, u32); 4] = [(2, 0), (3, 0), (3, 1), (0, 4)];
+
+    fn part(kind: u32, content: &[u8]) -> Vec<u8> {
+        let mut bytes = [kind, content.len() as u32].map(u32::to_le_bytes).concat();
+        bytes.extend_from_slice(content);
+        bytes.resize(bytes.len().next_multiple_of(8), 0);
+        bytes
+    }
+
+    fn words(numbers: &[i32]) -> Vec<u8> {
+        part(5, &numbers.iter().flat_map(|number| number.to_le_bytes()).collect::<Vec<u8>>())
+    }
+
+    fn matrix(class: u32, [rows, columns]: [i32; 2], elements: &[Vec<u8>]) -> Vec<u8> {
+        let flags = part(6, &[class, 0].map(u32::to_le_bytes).concat());
+        part(14, &[flags, words(&[rows, columns]), part(1, b"truth"), elements.concat()].concat())
+    }
+
+    fn file(variables: &[Vec<u8>]) -> Vec<u8> {
+        let mut bytes = vec![b' '; 124];
+        bytes.extend(*b"\0\x01IM");
+        bytes.extend(variables.concat());
+        bytes
+    }
+
+    fn packed(variable: &[u8]) -> Vec<u8> {
+        let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
+        encoder.write_all(variable).unwrap();
+        let bytes = encoder.finish().unwrap();
+        [[15, bytes.len() as u32].map(u32::to_le_bytes).concat(), bytes].concat()
+    }
 
     #[test]
     fn full_and_sparse_matrices_of_every_class_are_read_packed_or_not() {
         for name in ["double.mat", "packed.mat", "logical.mat", "sparse.mat", "uint8.mat"] {
             let matrices = read(&fixture(name)).unwrap();
-            let truth = matrices.iter().find(|matrix| matrix.name == "truth").expect(name);
-            assert_eq!((truth.rows, truth.columns), (4, 5), "{name}");
-            let mut nonzero = truth.nonzero.clone().unwrap();
-            nonzero.sort_by_key(|&(row, column)| (column, row));
-            assert_eq!(nonzero, NONZERO, "{name}");
+            let (_, size, nonzero) = matrices.iter().find(|matrix| matrix.0 == "truth").expect(name);
+            assert_eq!(*size, [4, 5], "{name}");
+            assert_eq!(*nonzero, NONZERO, "{name}");
         }
     }
 
@@ -291,25 +425,76 @@ mod tests {
     }
 
     #[test]
-    fn a_small_file_that_unpacks_to_a_large_one_is_given_up() {
-        let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
-        std::io::Write::write_all(&mut encoder, &[0; 1000]).unwrap();
-        let packed = encoder.finish().unwrap();
-        assert_eq!(unpack(&packed, 1000).unwrap(), [0; 1000]);
-        assert!(unpack(&packed, 999).unwrap_err().contains("save the loop matrix alone"));
+    fn packed_variables_share_one_budget_of_bytes() {
+        let variable = matrix(9, [40, 50], &[part(2, &[0; 2000])]);
+        let bytes = file(&[packed(&variable), packed(&variable)]);
+        let all = 2 * variable.len() as u64;
+        assert!(bytes.len() < 400, "{} bytes hold {all}", bytes.len());
+        assert_eq!(read_within(&bytes, all).unwrap().len(), 2);
+        let message = read_within(&bytes, all - 1).unwrap_err();
+        assert_eq!(
+            message,
+            format!("its variables unpack to more than {} bytes; save the ground truth only", all - 1)
+        );
+        let many = file(&vec![part(14, &[]); MAX_VARIABLES + 1]);
+        assert!(read(&many).unwrap_err().contains("more than 10000 variables"));
     }
 
     #[test]
-    fn a_sparse_matrix_of_more_frames_than_there_are_is_refused() {
-        let mut bytes = fixture("sparse.mat");
-        // Eight bytes of sizes: 4 × 5.
-        let sizes = [8, 0, 0, 0, 4, 0, 0, 0, 5, 0, 0, 0];
-        let at = 4 + bytes.windows(12).position(|window| window == sizes).expect("its sizes");
-        bytes[at..at + 4].copy_from_slice(&0x7FFF_FFFF_u32.to_le_bytes());
-        assert!(read(&bytes).unwrap_err().contains("2147483647 × 5 elements, more than 1048576 in a row"));
+    fn sizes_that_no_memory_holds_cost_none() {
+        let full = matrix(9, [i32::MAX, i32::MAX], &[part(2, &[1; 8])]);
+        assert!(read(&file(&[full])).unwrap_err().contains("8 elements, not 2147483647 × 2147483647"));
+        let sparse = matrix(5, [i32::MAX, i32::MAX], &[words(&[0]), words(&[0, 1]), part(2, &[1])]);
+        assert!(read(&file(&[sparse])).unwrap_err().contains("truth has no start for every column"));
+        let empty = matrix(9, [0, i32::MAX], &[part(2, &[])]);
+        assert_eq!(read(&file(&[empty])).unwrap()[0].2, []);
+    }
+
+    #[test]
+    fn a_sparse_matrix_with_elements_nowhere_or_without_values_is_refused() {
+        let sparse = |rows: &[i32], starts: &[i32], values: &[u8]| {
+            let parts = [words(rows), words(starts), part(2, values)];
+            read(&file(&[matrix(5, [3, 2], &parts)])).map(|matrices| matrices[0].2.clone())
+        };
+        assert_eq!(sparse(&[1, 2], &[0, 1, 2], &[1, 1]).unwrap(), [(1, 0), (2, 1)]);
+        assert_eq!(sparse(&[1, 2], &[0, 1, 2], &[]).unwrap(), [(1, 0), (2, 1)], "a pattern");
+        for (rows, starts, values, reason) in [
+            (&[1, 3][..], [0, 1, 2], &[1, 1][..], "an element, number 1, in none of its 3 rows"),
+            (&[1, -1], [0, 1, 2], &[1, 1], "an element, number 1, in none of its 3 rows"),
+            (&[1, 2], [0, 2, 1], &[1, 1], "a column that ends before it begins"),
+            (&[1, 2], [1, 1, 2], &[1, 1], "no start for every column"),
+            (&[1, 2], [0, 1, 3], &[1, 1, 1], "a column that reaches beyond its elements"),
+            (&[1, 2], [0, 1, 2], &[1], "1 values for 2 elements"),
+        ] {
+            assert_eq!(sparse(rows, &starts, values), Err(format!("truth has {reason}; save it again")));
+        }
     }
 
     proptest! {
+        #[test]
+        fn a_full_and_a_sparse_matrix_hold_the_same(
+            (rows, columns, cells) in (1..6_usize, 1..6_usize).prop_flat_map(|(rows, columns)| {
+                (Just(rows), Just(columns), proptest::collection::vec(0..2_u8, rows * columns))
+            }),
+        ) {
+            let (mut indices, mut starts) = (Vec::new(), vec![0]);
+            for column in cells.chunks(rows) {
+                indices.extend((0..).zip(column).filter(|(_, cell)| **cell != 0).map(|(row, _)| row));
+                starts.push(indices.len() as i32);
+            }
+            let size = [rows as i32, columns as i32];
+            let ones = part(9, &1_f64.to_le_bytes().repeat(indices.len()));
+            let full = matrix(9, size, &[part(2, &cells)]);
+            let sparse = matrix(5, size, &[words(&indices), words(&starts), ones]);
+            let read = read(&file(&[full, packed(&sparse)])).unwrap();
+            let expected: Vec<(u32, u32)> = (0..cells.len())
+                .filter(|&cell| cells[cell] != 0)
+                .map(|cell| ((cell % rows) as u32, (cell / rows) as u32))
+                .collect();
+            prop_assert_eq!(&read[0].2, &expected);
+            prop_assert_eq!(&read[1], &read[0]);
+        }
+
         #[test]
         fn damaged_files_are_refused_or_read_but_never_panic(
             name in prop_oneof![Just("double.mat"), Just("sparse.mat"), Just("packed.mat")],

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use super::error::GroundTruthError;
-use super::{file, mat};
+use super::file::{self, MAX_BINARY_BYTES, MAX_FRAMES};
+use super::mat::MatFile;
 
 /// Semi-major axis of the WGS84 ellipsoid in metres, and its first eccentricity squared.
 const WGS84: (f64, f64) = (6_378_137.0, 6.694_379_990_141_316e-3);
@@ -36,21 +37,27 @@ pub fn from_file_name(name: &str) -> Option<[f64; 2]> {
 /// # Errors
 /// If the file cannot be read or has no such variable of two rows or columns.
 pub fn pairs_from_mat(path: &Path, variable: &str) -> Result<Vec<[f64; 2]>, GroundTruthError> {
-    let bytes = file::read(path, file::MAX_TABLE_BYTES)?;
+    let bytes = file::read(path, MAX_BINARY_BYTES)?;
     let malformed = |reason: String| GroundTruthError::malformed(path, reason);
-    let matrices = mat::read(&bytes).map_err(malformed)?;
-    let matrix = matrices.into_iter().find(|matrix| matrix.name == variable);
+    let file = MatFile::read(&bytes).map_err(malformed)?;
+    let matrices = file.matrices().map_err(malformed)?;
     let missing = || malformed(format!("no full matrix {variable} of two columns"));
-    let matrix = matrix.ok_or_else(missing)?;
-    let values = matrix.pairs.ok_or_else(missing)?;
-    let pairs: Vec<[f64; 2]> = match (matrix.rows, matrix.columns) {
-        (rows, 2) => (0..rows).map(|row| [values[row], values[rows + row]]).collect(),
-        _ => values.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect(),
+    let matrix = matrices.iter().find(|matrix| matrix.name == variable).ok_or_else(missing)?;
+    let (count, is_a_pair_a_row) = match (matrix.rows, matrix.columns) {
+        (rows, 2) => (rows, true),
+        (2, columns) => (columns, false),
+        _ => return Err(missing()),
     };
-    match pairs.iter().position(|pair| pair.iter().any(|number| !number.is_finite())) {
-        Some(pair) => Err(malformed(format!("pair {pair} of {variable}, counted from 0, is no position"))),
-        None => Ok(pairs),
+    if count > MAX_FRAMES {
+        return Err(malformed(file::too_many_frames()));
     }
+    let pair = |index: usize| {
+        let at = |which: usize| {
+            if is_a_pair_a_row { matrix.get(index, which) } else { matrix.get(which, index) }
+        };
+        Some([at(0)?, at(1)?])
+    };
+    (0..count).map(pair).collect::<Option<Vec<[f64; 2]>>>().ok_or_else(missing)
 }
 
 /// The indices of positions that lie at least `spacing_metres` from the one kept before, the first one

@@ -9,8 +9,8 @@ use super::table::Table;
 /// A choice of rows: terms separated by commas, all of which must hold.
 ///
 /// `COLUMN=VALUE` keeps rows with that value; `COLUMN=FROM..TO` those between two numbers, both
-/// included, either left out; `COLUMN=FROM%..TO%` those between two percentiles of the rows of the same
-/// `place`. `files=COLUMN` names the column that holds the files.
+/// included, either left out; `COLUMN=FROM%..TO%` those between two percentiles, from 0 to 100, of the
+/// rows of the same `place`. `files=COLUMN` names the column that holds the files.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RowFilter {
     files: Option<String>,
@@ -43,18 +43,19 @@ impl FromStr for RowFilter {
         for term in text.split(',').filter(|term| !term.trim().is_empty()) {
             let (column, value) = term.split_once('=').ok_or_else(|| error("not COLUMN=VALUE"))?;
             let (column, value) = (column.trim().to_owned(), value.trim());
+            if column.is_empty() {
+                return Err(error("not COLUMN=VALUE"));
+            }
             if column == "files" {
-                if value.is_empty() {
-                    return Err(error("files= names no column"));
+                if value.is_empty() || filter.files.is_some() {
+                    return Err(error("files= names one column"));
                 }
                 filter.files = Some(value.to_owned());
                 continue;
             }
             let condition = match value.split_once("..") {
                 None => Condition::Equals(value.to_owned()),
-                Some(bounds) => range(bounds).ok_or_else(|| {
-                    error("not a range of numbers from low to high, or of percentages from 0 to 100")
-                })?,
+                Some(bounds) => range(bounds).map_err(error)?,
             };
             filter.terms.push((column, condition));
         }
@@ -68,18 +69,22 @@ impl fmt::Display for RowFilter {
     }
 }
 
-fn range((from, to): (&str, &str)) -> Option<Condition> {
+fn range((from, to): (&str, &str)) -> Result<Condition, &'static str> {
     let is_percent = from.ends_with('%') || to.ends_with('%');
-    let bound = |text: &str, open: f64| match text.trim_end_matches('%') {
-        "" => Some(open),
-        number => number.parse::<f64>().ok().filter(|number| number.is_finite()),
+    let bound = |text: &str, open: f64| match text.strip_suffix('%').unwrap_or(text).parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number),
+        _ if text.is_empty() => Ok(open),
+        _ => Err("not a range of numbers"),
     };
-    let (from, to) = (bound(from, f64::NEG_INFINITY)?, bound(to, f64::INFINITY)?);
-    let is_percentage = |bound: f64| !is_percent || bound.is_infinite() || (0.0..=100.0).contains(&bound);
-    if from > to || !is_percentage(from) || !is_percentage(to) {
-        return None;
+    let (least, most) = if is_percent { (0.0, 100.0) } else { (f64::NEG_INFINITY, f64::INFINITY) };
+    let (from, to) = (bound(from, least)?, bound(to, most)?);
+    if from.max(to) > most || from.min(to) < least {
+        return Err("percentages are from 0 to 100");
     }
-    Some(if is_percent { Condition::Percentiles(from, to) } else { Condition::Between(from, to) })
+    if from > to {
+        return Err("the range ends before it begins");
+    }
+    Ok(if is_percent { Condition::Percentiles(from, to) } else { Condition::Between(from, to) })
 }
 
 impl RowFilter {
@@ -167,11 +172,22 @@ mod tests {
     #[test]
     fn what_cannot_be_chosen_is_said() {
         assert!(choose("lap", LAPS).unwrap_err().contains("not COLUMN=VALUE"));
-        assert!(choose("lap=one..2", LAPS).unwrap_err().contains("not a range of numbers"));
-        for range in ["lap=2..1", "lap=..101%", "lap=-1%..", "lap=nan..2"] {
-            assert!(choose(range, LAPS).unwrap_err().contains("not a range"), "{range}");
+        assert!(choose("=1", LAPS).unwrap_err().contains("not COLUMN=VALUE"));
+        for range in ["one..2", "nan..2", "..inf", "nan%..", "..%", "1%%..2%"] {
+            let message = choose(&format!("lap={range}"), LAPS).unwrap_err();
+            assert!(message.contains("not a range of numbers"), "{message}");
         }
-        assert!(choose("files=", LAPS).unwrap_err().contains("names no column"));
+        for range in ["-1%..30%", "..101%", "200%.."] {
+            let message = choose(&format!("lap={range}"), LAPS).unwrap_err();
+            assert!(message.contains("percentages are from 0 to 100"), "{message}");
+        }
+        for range in ["2..1", "50%..30%"] {
+            let message = choose(&format!("lap={range}"), LAPS).unwrap_err();
+            assert!(message.contains("the range ends before it begins"), "{message}");
+        }
+        for files in ["files=", "files=file,files=drive"] {
+            assert!(choose(files, LAPS).unwrap_err().contains("files= names one column"));
+        }
         assert!(
             choose("speed=1", LAPS).unwrap_err().contains("no column `speed`; there are file, drive, lap")
         );

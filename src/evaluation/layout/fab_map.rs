@@ -3,7 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Camera, Layout, LayoutError, LayoutOptions, LayoutTraverse, Rule, different, unplaced};
+use super::{
+    Camera, Layout, LayoutError, LayoutOptions, LayoutTraverse, Rule, different, refuse_spacing, unplaced,
+};
 use crate::evaluation::ground_truth::LoopMatrix;
 use crate::source::image_files;
 
@@ -16,14 +18,15 @@ pub(super) fn read(
     folder: &Path,
     options: &LayoutOptions,
 ) -> Result<LayoutTraverse, LayoutError> {
+    refuse_spacing(layout, options)?;
     let files = image_files(&folder.join("Images")).or_else(|_| image_files(folder))?;
     let set = if layout == Layout::NewCollege { "NewCollege" } else { "CityCentre" };
     let path = truth_file(folder, set)
         .ok_or_else(|| different(layout, folder, format!("no {set}GroundTruth.mat in it or in masks/")))?;
     let matrix = LoopMatrix::read(&path)?;
-    let first = match options.camera {
-        None | Some(Camera::Left) => 0,
-        Some(Camera::Right) => 1,
+    let first = match options.camera.unwrap_or_default() {
+        Camera::Left => 0,
+        Camera::Right => 1,
     };
     let one_camera = files.len().saturating_sub(first as usize).div_ceil(2);
     let loops = if matrix.rows() == files.len() {

@@ -1,5 +1,7 @@
 //! A sequence of KITTI odometry (Geiger, Lenz and Urtasun, CVPR 2012): `image_0/000000.png` and on, with
 //! a line of twelve numbers a frame in the poses file: the upper three rows of a transform.
+//!
+//! The poses are those of the left grey camera; the right ones drive half a metre beside it.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +9,7 @@ use super::{Camera, Layout, LayoutError, LayoutOptions, LayoutTraverse, differen
 use crate::evaluation::ground_truth::{GroundTruthError, file};
 use crate::source::image_files;
 
-/// The cameras of each side, the grey one first.
+/// The folders of the left and the right cameras, grey ones first.
 const LEFT: [&str; 2] = ["image_0", "image_2"];
 const RIGHT: [&str; 2] = ["image_1", "image_3"];
 /// Frames of one place lie within this, in metres.
@@ -15,7 +17,10 @@ const RADIUS_METRES: f64 = 10.0;
 
 pub(super) fn read(folder: &Path, options: &LayoutOptions) -> Result<LayoutTraverse, LayoutError> {
     let different = |reason: String| different(Layout::Kitti, folder, reason);
-    let cameras = if options.camera == Some(Camera::Right) { RIGHT } else { LEFT };
+    let cameras = match options.camera.unwrap_or_default() {
+        Camera::Left => LEFT,
+        Camera::Right => RIGHT,
+    };
     let files = cameras.iter().find_map(|name| image_files(&folder.join(name)).ok());
     let files = files.ok_or_else(|| different(format!("no images in {}", cameras.join(" or "))))?;
     let path = poses_file(folder).ok_or_else(|| {
@@ -37,7 +42,7 @@ fn poses_file(folder: &Path) -> Option<PathBuf> {
 
 /// x and z of every pose: the ground plane of a camera that looks along z.
 fn positions(path: &Path) -> Result<Vec<[f64; 2]>, GroundTruthError> {
-    let text = file::read_text(path, file::MAX_TABLE_BYTES)?;
+    let text = file::read_text(path)?;
     let position = |line: &str| {
         let numbers: Vec<f64> = line.split_whitespace().map_while(|word| word.parse().ok()).collect();
         let is_whole = numbers.len() == 12 && numbers.iter().all(|number: &f64| number.is_finite());

@@ -17,7 +17,8 @@ use crate::source::{SourceError, image_files};
 /// How a folder is laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// Images in natural order; named `@EASTING@NORTHING@…` where positions are known.
+    /// A folder of `.jpg`, `.jpeg` or `.png` files in natural order; all or none are named
+    /// `@EASTING@NORTHING@…`, in metres. Of a folder without any its subfolders are read.
     Images,
     /// UQ St Lucia (Glover et al., ICRA 2010): `webcam_video.avi` or images, with `fGPS.txt`.
     StLucia,
@@ -82,9 +83,10 @@ impl FromStr for Layout {
 }
 
 /// Which of two cameras.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Camera {
     /// The left one.
+    #[default]
     Left,
     /// The right one.
     Right,
@@ -93,25 +95,11 @@ pub enum Camera {
 /// What may be chosen of a layout.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LayoutOptions {
-    /// Least distance of kept frames in metres; by default the set's usual one.
+    /// Least distance of kept frames in metres; by default the set's usual one. Only for layouts that
+    /// know where frames were taken, other than by a loop matrix.
     pub spacing_metres: Option<f64>,
-    /// Which camera, where there are two; by default the left one.
+    /// Which camera, only for layouts that have two; by default the left one.
     pub camera: Option<Camera>,
-}
-
-impl LayoutOptions {
-    /// Fails if an option was named that would change nothing.
-    fn refuse_unused(self, layout: Layout, folder: &Path, has_positions: bool) -> Result<(), LayoutError> {
-        let has_cameras = matches!(layout, Layout::CityCentre | Layout::NewCollege | Layout::Kitti);
-        let useless = |option, reason| LayoutError::Useless { folder: folder.to_owned(), option, reason };
-        if self.camera.is_some() && !has_cameras {
-            Err(useless("camera", "has one camera"))
-        } else if self.spacing_metres.is_some() && !has_positions {
-            Err(useless("spacing", "has no positions"))
-        } else {
-            Ok(())
-        }
-    }
 }
 
 /// Where the frames of a traverse lie.
@@ -182,15 +170,13 @@ pub enum LayoutError {
         /// What is missing, or does not fit.
         reason: String,
     },
-    /// An option would change nothing.
-    #[error("{option} has no meaning, since {} {reason}; leave it out", folder.display())]
-    Useless {
-        /// The folder.
-        folder: PathBuf,
-        /// The option.
+    /// The layout has no use for an option, or its value makes no sense.
+    #[error("--{option}: {reason}")]
+    BadOption {
+        /// The option, `spacing` or `camera`.
         option: &'static str,
-        /// Why it would change nothing.
-        reason: &'static str,
+        /// What is wrong with it, and what to do.
+        reason: String,
     },
     /// A ground-truth file of the folder is wrong.
     #[error(transparent)]
@@ -203,21 +189,51 @@ pub enum LayoutError {
 /// Reads the traverse in `folder`.
 ///
 /// # Errors
-/// If it is not laid out so, or its files do not fit each other.
+/// If it is not laid out so, its files do not fit each other, or it has no use for an option.
 pub fn read(layout: Layout, folder: &Path, options: &LayoutOptions) -> Result<LayoutTraverse, LayoutError> {
+    if let Some(metres) = options.spacing_metres.filter(|metres| !(metres.is_finite() && *metres >= 0.0)) {
+        return Err(bad_option("spacing", format!("{metres} is not a number of metres of 0 or more")));
+    }
     let name =
         folder.file_name().map_or_else(|| folder.display().to_string(), |name| name.to_string_lossy().into());
     let traverse = match layout {
-        Layout::Images => images(folder, options)?,
+        Layout::Images => {
+            refuse_camera(layout, options)?;
+            images(folder, options)?
+        }
         Layout::StLucia => st_lucia::read(folder, options)?,
         Layout::CityCentre | Layout::NewCollege => fab_map::read(layout, folder, options)?,
         Layout::Kitti => kitti::read(folder, options)?,
         // Both are walked or driven at one frame a second or less; these tolerances are the usual ones.
-        Layout::Nordland => aligned(folder, 10)?,
-        Layout::GardensPoint => aligned(folder, 2)?,
+        Layout::Nordland => aligned(layout, folder, options, 10)?,
+        Layout::GardensPoint => aligned(layout, folder, options, 2)?,
     };
-    options.refuse_unused(layout, folder, traverse.positions_metres.is_some())?;
     Ok(LayoutTraverse { name, ..traverse })
+}
+
+fn bad_option(option: &'static str, reason: impl Into<String>) -> LayoutError {
+    LayoutError::BadOption { option, reason: reason.into() }
+}
+
+/// Fails if a camera was chosen of a layout that has one.
+fn refuse_camera(layout: Layout, options: &LayoutOptions) -> Result<(), LayoutError> {
+    if options.camera.is_none() {
+        return Ok(());
+    }
+    let reason = format!(
+        "{} has one camera; leave it out, or say --layout city-centre, new-college or kitti",
+        layout.as_str()
+    );
+    Err(bad_option("camera", reason))
+}
+
+/// Fails if a spacing was chosen of a layout that does not say where frames were taken.
+fn refuse_spacing(layout: Layout, options: &LayoutOptions) -> Result<(), LayoutError> {
+    if options.spacing_metres.is_none() {
+        return Ok(());
+    }
+    let reason = format!("{} carries no positions; take fewer with --sample-interval N", layout.as_str());
+    Err(bad_option("spacing", reason))
 }
 
 fn different(layout: Layout, folder: &Path, reason: impl Into<String>) -> LayoutError {
@@ -255,13 +271,30 @@ fn kept(positions: &[[f64; 2]], spacing: Option<f64>) -> Vec<usize> {
 fn images(folder: &Path, options: &LayoutOptions) -> Result<LayoutTraverse, LayoutError> {
     let files = image_files(folder)?;
     let at = |file: &PathBuf| position::from_file_name(&file.file_name()?.to_string_lossy());
-    Ok(match files.iter().map(at).collect::<Option<Vec<[f64; 2]>>>() {
-        Some(positions) => placed(files, &positions, options.spacing_metres, 25.0),
-        None => unplaced(files),
-    })
+    let positions: Vec<[f64; 2]> = files.iter().filter_map(at).collect();
+    if positions.is_empty() {
+        refuse_spacing(Layout::Images, options)?;
+        return Ok(unplaced(files));
+    }
+    if positions.len() < files.len() {
+        let reason = format!(
+            "only {} of {} images are named @EASTING@NORTHING@…; name all of them so, or none",
+            positions.len(),
+            files.len()
+        );
+        return Err(different(Layout::Images, folder, reason));
+    }
+    Ok(placed(files, &positions, options.spacing_metres, 25.0))
 }
 
-fn aligned(folder: &Path, tolerance: u32) -> Result<LayoutTraverse, LayoutError> {
+fn aligned(
+    layout: Layout,
+    folder: &Path,
+    options: &LayoutOptions,
+    tolerance: u32,
+) -> Result<LayoutTraverse, LayoutError> {
+    refuse_camera(layout, options)?;
+    refuse_spacing(layout, options)?;
     Ok(LayoutTraverse { rule: Rule::Frames { tolerance }, ..unplaced(image_files(folder)?) })
 }
 
@@ -269,6 +302,7 @@ fn aligned(folder: &Path, tolerance: u32) -> Result<LayoutTraverse, LayoutError>
 mod tests {
     use super::*;
     use std::fs;
+    use std::process::Command;
 
     /// A folder with these files; images are empty, since nobody decodes them here.
     fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
@@ -283,14 +317,6 @@ mod tests {
 
     fn fixture(name: &str) -> Vec<u8> {
         fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/ground_truth").join(name)).unwrap()
-    }
-
-    /// A video of so many frames.
-    fn film(path: &Path, frames: u32) {
-        let input = format!("testsrc=size=64x48:rate=5:duration={}", f64::from(frames) / 5.0);
-        let mut ffmpeg = std::process::Command::new("ffmpeg");
-        ffmpeg.args(["-v", "error", "-y", "-f", "lavfi", "-i", &input, "-c:v", "mjpeg"]).arg(path);
-        assert!(ffmpeg.status().expect("ffmpeg is installed for tests").success());
     }
 
     fn read_all(layout: &str, folder: &Path) -> Result<LayoutTraverse, String> {
@@ -320,6 +346,9 @@ mod tests {
         let traverse = read_all("images", set.path()).unwrap();
         assert_eq!(traverse.positions_metres, Some(vec![[10.0, 20.0], [13.0, 24.0]]));
         assert_eq!(traverse.rule, Rule::Radius { metres: 25.0 });
+        let mixed = folder(&[("@10@20@x@.jpg", ""), ("2.jpg", "")]);
+        let message = read_all("images", mixed.path()).unwrap_err();
+        assert!(message.contains("only 1 of 2 images are named @EASTING@NORTHING@…"), "{message}");
         let plain = folder(&[("2.jpg", ""), ("10.jpg", "")]);
         let traverse = read_all("images", plain.path()).unwrap();
         assert_eq!((names(&traverse), traverse.rule), (vec!["2.jpg".into(), "10.jpg".into()], Rule::None));
@@ -338,23 +367,59 @@ mod tests {
     fn st_lucia_has_a_line_of_southern_degrees_a_frame_and_keeps_frames_five_metres_apart() {
         // One thousandth of a degree of latitude is 111 m: 4e-5 degrees are 4.4 m, 5e-5 are 5.5 m.
         let gps = "27.500000,153.0\n27.500040,153.0\n27.500050,153.0\n";
-        let set = folder(&[("fGPS.txt", gps)]);
-        let video = set.path().join("webcam_video.avi");
-        film(&video, 3);
-        let traverse = read_all("st-lucia", set.path()).unwrap();
-        assert_eq!(traverse.images, Images::Video { path: video.clone(), frames: vec![0, 2] });
+        let frames =
+            folder(&[("fGPS.txt", gps), ("frames/1.png", ""), ("frames/2.png", ""), ("frames/10.png", "")]);
+        let traverse = read_all("st-lucia", frames.path()).unwrap();
+        assert_eq!(names(&traverse), ["1.png", "10.png"]);
         let positions = traverse.positions_metres.unwrap();
         assert!((positions[1][1] - positions[0][1] + 5.54).abs() < 0.01, "south of the first: {positions:?}");
         assert_eq!(traverse.rule, Rule::Radius { metres: 25.0 });
-        film(&video, 5);
-        let message = read_all("st-lucia", set.path()).unwrap_err();
-        assert!(message.contains("5 frames but 3 positions"), "{message}");
-
-        let frames =
-            folder(&[("fGPS.txt", gps), ("frames/1.png", ""), ("frames/2.png", ""), ("frames/10.png", "")]);
-        assert_eq!(names(&read_all("st-lucia", frames.path()).unwrap()), ["1.png", "10.png"]);
         let wide = LayoutOptions { spacing_metres: Some(0.0), ..LayoutOptions::default() };
         assert_eq!(names(&read(Layout::StLucia, frames.path(), &wide).unwrap()).len(), 3);
+    }
+
+    /// Makes St Lucia's video with that many frames in `folder`; `false` where there is no ffmpeg.
+    fn make_video(folder: &Path, frames: usize) -> bool {
+        let path = folder.join("webcam_video.avi");
+        let arguments = format!("-f lavfi -i testsrc=size=64x48:rate=25 -frames:v {frames} -c:v mjpeg");
+        let mut command = Command::new("ffmpeg");
+        command.args(["-nostdin", "-y", "-v", "error"]).args(arguments.split(' ')).arg(&path);
+        match command.status() {
+            Ok(status) => {
+                assert!(status.success(), "ffmpeg {arguments}");
+                true
+            }
+            Err(_) => {
+                fs::write(path, "not empty").unwrap();
+                assert!(read_all("st-lucia", folder).unwrap_err().contains("apt install ffmpeg"));
+                false
+            }
+        }
+    }
+
+    #[test]
+    fn the_video_of_st_lucia_must_have_a_frame_a_position() {
+        // 150 positions, 5.5 m apart, of which one in a hundred may be left over.
+        let gps: String = (0..150).map(|frame| format!("27.5{:04},153.0\n", 5 * frame)).collect();
+        let set = folder(&[("fGPS.txt", gps.as_str())]);
+        if !make_video(set.path(), 150) {
+            return;
+        }
+        let frames = |set: &Path| match read_all("st-lucia", set)?.images {
+            Images::Video { path, frames } => Ok((path, frames)),
+            Images::Files(_) => Err("files".to_owned()),
+        };
+        let path = set.path().join("webcam_video.avi");
+        assert_eq!(frames(set.path()), Ok((path, (0..150).collect())));
+        make_video(set.path(), 149);
+        assert_eq!(frames(set.path()).unwrap().1, (0..149).collect::<Vec<u64>>(), "the last has no frame");
+        make_video(set.path(), 151);
+        assert_eq!(frames(set.path()).unwrap().1.len(), 150);
+        make_video(set.path(), 147);
+        let message = frames(set.path()).unwrap_err();
+        assert!(message.contains("not laid out as st-lucia: 147 frames but 150 positions"), "{message}");
+        fs::write(set.path().join("webcam_video.avi"), "").unwrap();
+        assert!(frames(set.path()).unwrap_err().contains("the file is empty"));
     }
 
     #[test]
@@ -363,6 +428,16 @@ mod tests {
         fs::write(set.path().join("fGPS.mat"), fixture("fgps.mat")).unwrap();
         let positions = read_all("st-lucia", set.path()).unwrap().positions_metres.unwrap();
         assert_eq!(positions.len(), 3, "11 m apart");
+        // The latitude of the first, a double with its exponent at the end of the eight bytes.
+        let mut bytes = fixture("fgps.mat");
+        let latitude = bytes.windows(8).position(|bytes| bytes == (-27.5_f64).to_le_bytes()).unwrap();
+        bytes[latitude..latitude + 8].copy_from_slice(&f64::NAN.to_le_bytes());
+        fs::write(set.path().join("fGPS.mat"), bytes).unwrap();
+        let message = read_all("st-lucia", set.path()).unwrap_err();
+        assert!(
+            message.ends_with("entry 0 (counted from 0): not LATITUDE,LONGITUDE in degrees"),
+            "{message}"
+        );
     }
 
     #[test]
@@ -399,18 +474,6 @@ mod tests {
     }
 
     #[test]
-    fn options_that_would_change_nothing_are_refused() {
-        let plain = folder(&[("1.jpg", "")]);
-        let refused =
-            |layout, options: LayoutOptions| read(layout, plain.path(), &options).unwrap_err().to_string();
-        let spacing = LayoutOptions { spacing_metres: Some(5.0), camera: None };
-        assert!(refused(Layout::Nordland, spacing).contains("spacing has no meaning"));
-        assert!(refused(Layout::Images, spacing).contains("has no positions"));
-        let camera = LayoutOptions { spacing_metres: None, camera: Some(Camera::Left) };
-        assert!(refused(Layout::GardensPoint, camera).contains("camera has no meaning"));
-    }
-
-    #[test]
     fn kitti_has_its_poses_beside_the_sequences_or_inside() {
         let pose = |x: f64, z: f64| format!("1 0 0 {x} 0 1 0 -1.5 0 0 1 {z}\n");
         let poses = pose(0.0, 0.0) + &pose(0.5, 12.0);
@@ -423,14 +486,50 @@ mod tests {
         let traverse = read_all("kitti", &set.path().join("sequences/05")).unwrap();
         assert_eq!(traverse.positions_metres, Some(vec![[0.0, 0.0], [0.5, 12.0]]));
         assert_eq!(traverse.rule, Rule::Radius { metres: 10.0 });
-        let right = LayoutOptions { camera: Some(Camera::Right), ..LayoutOptions::default() };
-        let message = read(Layout::Kitti, &set.path().join("sequences/05"), &right).unwrap_err().to_string();
-        assert!(message.contains("no images in image_1 or image_3"), "{message}");
         fs::write(set.path().join("poses/05.txt"), pose(0.0, 0.0)).unwrap();
         let message = read_all("kitti", &set.path().join("sequences/05")).unwrap_err();
         assert!(message.contains("2 images but 1 poses"), "{message}");
         fs::write(set.path().join("poses/05.txt"), pose(0.0, 0.0) + "1 2 3\n").unwrap();
         let message = read_all("kitti", &set.path().join("sequences/05")).unwrap_err();
         assert!(message.contains("05.txt, row 2: not 12 numbers"), "{message}");
+    }
+
+    #[test]
+    fn the_right_camera_of_kitti_lies_in_folders_of_its_own() {
+        let pose = "1 0 0 0 0 1 0 0 0 0 1 0\n";
+        let set = folder(&[("image_2/a.png", ""), ("image_3/b.png", ""), ("poses.txt", pose)]);
+        let read = |camera| {
+            let options = LayoutOptions { camera, ..LayoutOptions::default() };
+            read(Layout::Kitti, set.path(), &options).map(|traverse| names(&traverse))
+        };
+        assert_eq!([read(None).unwrap(), read(Some(Camera::Left)).unwrap()], [["a.png"], ["a.png"]]);
+        assert_eq!(read(Some(Camera::Right)).unwrap(), ["b.png"]);
+        fs::remove_dir_all(set.path().join("image_3")).unwrap();
+        let message = read(Some(Camera::Right)).unwrap_err().to_string();
+        assert!(message.ends_with("no images in image_1 or image_3"), "{message}");
+    }
+
+    #[test]
+    fn an_option_without_a_use_is_refused_rather_than_passed_over() {
+        let set = folder(&[("1.jpg", ""), ("fGPS.txt", "27.5,153\n"), ("poses.txt", "")]);
+        let message = |layout: Layout, options: &LayoutOptions| {
+            read(layout, set.path(), options).unwrap_err().to_string()
+        };
+        let camera = LayoutOptions { camera: Some(Camera::Left), ..LayoutOptions::default() };
+        for layout in [Layout::Images, Layout::StLucia, Layout::Nordland, Layout::GardensPoint] {
+            let expected = format!("--camera: {} has one camera; leave it out,", layout.as_str());
+            assert!(message(layout, &camera).starts_with(&expected), "{layout:?}");
+        }
+        let spacing = |metres| LayoutOptions { spacing_metres: Some(metres), ..LayoutOptions::default() };
+        for layout in
+            [Layout::Images, Layout::CityCentre, Layout::NewCollege, Layout::Nordland, Layout::GardensPoint]
+        {
+            let expected = format!("--spacing: {} carries no positions;", layout.as_str());
+            assert!(message(layout, &spacing(5.0)).starts_with(&expected), "{layout:?}");
+        }
+        for metres in [-1.0, f64::NAN, f64::INFINITY] {
+            let expected = format!("--spacing: {metres} is not a number of metres of 0 or more");
+            assert_eq!(message(Layout::StLucia, &spacing(metres)), expected);
+        }
     }
 }

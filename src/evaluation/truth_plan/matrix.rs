@@ -41,14 +41,12 @@ pub(super) fn of_matrix(
 fn within(path: &Path, matrix: &LoopMatrix, plan: &TraversePlan) -> Result<(), GroundTruthError> {
     let Some(frames) = plan.frame_count() else { return Ok(()) };
     let beyond = |row: &usize| matrix.matches(*row).last().is_some_and(|&last| last as usize >= frames);
-    let rows: Vec<usize> = (0..matrix.rows()).filter(beyond).collect();
-    let Some(first) = rows.first() else { return Ok(()) };
-    let reason = format!(
-        "{} query frames, the first {first}, counted from 0, name frames beyond the {frames} of {}",
-        rows.len(),
-        plan.name
-    );
-    Err(GroundTruthError::malformed(path, reason))
+    let frames_beyond: Vec<u64> = (0..matrix.rows()).filter(beyond).map(|row| row as u64).collect();
+    if frames_beyond.is_empty() {
+        return Ok(());
+    }
+    let reason = format!("they name frames beyond the {frames} of {}, counted from 0", plan.name);
+    Err(GroundTruthError::queries(path, frames_beyond, reason))
 }
 
 /// For each frame the earlier frames of the same place, whichever half of the matrix says so.

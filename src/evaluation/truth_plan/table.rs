@@ -15,7 +15,7 @@ pub(super) fn is_table(path: &Path) -> Result<bool, GroundTruthError> {
     if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("csv")) {
         return Ok(false);
     }
-    let text = file::read_text(path, file::MAX_MATRIX_BYTES)?;
+    let text = file::read_text(path)?;
     let first = text.lines().next().unwrap_or_default();
     let mut words = first.split([',', ';', ' ', '\t']);
     Ok(words.any(|word| !word.is_empty() && word.parse::<f64>().is_err()))

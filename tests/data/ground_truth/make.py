@@ -21,9 +21,6 @@ scipy.io.savemat("sparse.mat", {"truth": scipy.sparse.csc_matrix(truth)})
 scipy.io.savemat("uint8.mat", {"truth": truth.astype(np.uint8), "fps": 25.0})
 scipy.io.savemat("named.mat", {"gps": np.ones((5, 2)), "GT": truth})
 scipy.io.savemat("several.mat", {"here": truth, "there": truth})
-doubtful = truth.copy()
-doubtful[2, 3] = np.nan
-scipy.io.savemat("nan.mat", {"truth": doubtful})
 scipy.io.savemat("fgps.mat", {"fGPS": np.array([[-27.5, 153.0], [-27.5001, 153.0], [-27.5002, 153.0]])})
 
 # VPR-Bench: rows of a query index and its reference indices.
@@ -48,6 +45,10 @@ save("shuffled.npy", objects([lists[2], lists[0], [1, (2, 1)]]))
 save("twice.npy", objects([lists[0], lists[1], lists[1]]))
 save("one_based.npy", objects([[q + 1, r] for q, r in lists]))
 save("negative.npy", objects([lists[0], [1, [-1]], lists[2]]))
+shared = [0, 1]
+save("shared.npy", objects([[0, shared], [1, shared]]))
+save("halves.npy", objects([[q, np.array([0, 1], dtype=np.float16)] for q in range(3)]))
+save("masks.npy", objects([[q, np.array([False, True])] for q in range(3)]))
 header = {"descr": "|O", "fortran_order": False, "shape": (3, 2)}
 with open("protocol2.npy", "wb") as file:
     np.lib.format.write_array_header_1_0(file, header)
@@ -58,4 +59,3 @@ save("bool.npy", matrix.astype(bool))
 save("float.npy", matrix.astype(np.float32))
 save("int64.npy", matrix.astype(np.int64))
 save("columns.npy", np.asfortranarray(matrix.astype(float)))
-save("nan.npy", np.where(matrix, [[1, 1, 1], [np.nan, 1, 1]], 0.0))
