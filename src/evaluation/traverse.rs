@@ -111,13 +111,13 @@ impl TraversePlan {
         })
     }
 
-    /// Whatever `loci run` reads and ends by itself. It is opened to learn how many frames it announces.
+    /// Whatever `loci run` reads and ends by itself. It says how many frames it announces.
     fn of_source(address: &str, sample_interval: u64) -> Result<Self, EvaluationError> {
         if matches!(Address::from(address), Address::Camera(_)) {
             let reason = format!("{address} never ends: record it, and evaluate the video");
             return Err(EvaluationError::Wrong(reason));
         }
-        let count = source::open(address, Some(1))?.frame_count().and_then(|count| count.try_into().ok());
+        let count = source::announced_frames(address)?.and_then(|count| count.try_into().ok());
         let frames = Frames::Source { address: address.to_owned(), count };
         Ok(Self::of_frames(address.to_owned(), frames, sample_interval))
     }

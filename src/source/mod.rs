@@ -125,6 +125,18 @@ pub fn open(source: &str, sample_interval: Option<u64>) -> Result<Box<dyn FrameS
     Ok(Box::new(VideoSource::open(path, sample_interval)?))
 }
 
+/// How many frames `source` announces, none of them sampled out, without reading any.
+///
+/// # Errors
+/// As those of [`open`].
+pub fn announced_frames(source: &str) -> Result<Option<u64>, SourceError> {
+    match Address::from(source) {
+        // A world takes longer to build than its drive to count.
+        Address::Synthetic(world) => Ok(Some(world.parse::<synthetic::SyntheticSpec>()?.drive_length())),
+        _ => Ok(open(source, Some(1))?.frame_count()),
+    }
+}
+
 #[cfg(feature = "v4l")]
 fn open_camera(camera: &str, sample_interval: Option<u64>) -> Result<Box<dyn FrameSource>, SourceError> {
     Ok(Box::new(camera::CameraSource::open(camera, sample_interval)?))

@@ -92,7 +92,7 @@ impl SyntheticSource {
     /// Number of frames of the whole drive, sampled or not.
     #[must_use]
     pub fn drive_length(&self) -> u64 {
-        u64::from(self.spec.laps) * u64::from(self.spec.frames_per_lap)
+        self.spec.drive_length()
     }
 
     /// Number of places on the circuit; true places count from 0 to one less.

@@ -67,6 +67,12 @@ pub struct SyntheticSpec {
 }
 
 impl SyntheticSpec {
+    /// Number of frames of the whole drive.
+    #[must_use]
+    pub fn drive_length(&self) -> u64 {
+        u64::from(self.laps) * u64::from(self.frames_per_lap)
+    }
+
     /// The drive through `world` with every key at its default.
     #[must_use]
     pub fn new(world: WorldKind) -> Self {
