@@ -34,7 +34,7 @@ fn stages(criterion: &mut Criterion) {
         .bench_function("vocabulary/bow_of_1000", |bencher| bencher.iter(|| bow(black_box(&features[0]))));
 
     let vectors: Vec<BowVector> = features.iter().map(bow).collect();
-    let mut index = InvertedIndex::new(vocabulary.word_count());
+    let mut index = InvertedIndex::default();
     for vector in vectors.iter().cycle().take(1000) {
         index.add(vector);
     }

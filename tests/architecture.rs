@@ -50,7 +50,7 @@ const HOMES: [(&str, &[&str]); 25] = [
     ("toml", &["cnn", "cli", "evaluation"]),
     ("base64", &["evaluation"]),
     ("csv", &["evaluation"]),
-    ("flate2", &["evaluation"]),
+    ("flate2", &["evaluation", "vocabulary"]),
     ("plotters", &["evaluation"]),
     ("heapless", &["recognition", "retrieval", "verification"]),
     ("rand_pcg", &["vocabulary", "source", "evaluation"]),

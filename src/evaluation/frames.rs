@@ -40,7 +40,7 @@ impl<'a> FrameDatabase<'a> {
         model: Option<&'a ModelCard>,
         options: &'a RecognitionOptions,
     ) -> Self {
-        let mut index = InvertedIndex::new(vocabulary.word_count());
+        let mut index = InvertedIndex::default();
         for observation in &reference.observations {
             index.add(&bow(observation, vocabulary));
         }

@@ -1,4 +1,4 @@
-//! The inner loops, one file each, in plain scalar Rust.
+//! The inner loops, one file each, in plain Rust.
 //!
 //! Everything here is integer arithmetic with one right answer, so that a faster version of a loop
 //! can be held bit for bit against the simple one.
@@ -9,6 +9,6 @@ mod resize;
 mod segment;
 
 pub use blur::blur_7x7;
-pub use hamming::hamming;
+pub use hamming::{hamming, nearest};
 pub use resize::resize_bilinear;
 pub use segment::corner_scores;

@@ -87,8 +87,7 @@ pub(super) fn extract(
     for captured in captured {
         let started = Instant::now();
         let features = extractor.extract(&captured.frame.grey);
-        let quantised =
-            features.descriptors.iter().map(|descriptor| vocabulary.quantise(descriptor)).collect();
+        let quantised = vocabulary.quantise_all(&features.descriptors);
         let featured = Featured { captured, features, quantised, features_us: micros(started) };
         if to_recognition.send(featured).is_err() {
             break;

@@ -54,7 +54,7 @@ impl Look {
     /// The words and nodes of `features`, with the CNN's descriptor of the same frame.
     #[must_use]
     pub fn new(features: Features, vocabulary: &Vocabulary, appearance: Option<cnn::Descriptor>) -> Self {
-        let quantised = features.descriptors.iter().map(|d| vocabulary.quantise(d)).collect();
+        let quantised = vocabulary.quantise_all(&features.descriptors);
         Self { features, quantised, appearance }
     }
 }
@@ -89,7 +89,7 @@ impl Recogniser {
         options: RecognitionOptions,
     ) -> Self {
         let mut recogniser = Self {
-            inverted_index: InvertedIndex::new(vocabulary.word_count()),
+            inverted_index: InvertedIndex::default(),
             visits: Visits::new(options.place_interval),
             options,
             vocabulary,
@@ -352,8 +352,7 @@ impl Recogniser {
     fn index(&mut self, id: ExperienceId) {
         let Some(experience) = self.map.experience(id) else { return };
         let Some(keyframe) = &experience.keyframe else { return };
-        let quantised: Vec<Quantised> =
-            keyframe.features.descriptors.iter().map(|d| self.vocabulary.quantise(d)).collect();
+        let quantised = self.vocabulary.quantise_all(&keyframe.features.descriptors);
         self.inverted_index.add(&BowVector::new(quantised.iter().map(|q| q.word), &self.vocabulary));
         let groups = quantised.iter().map(|q| q.node.0).collect();
         self.keyframes.push(IndexedKeyframe { place: experience.place, experience: id, groups });

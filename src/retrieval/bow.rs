@@ -1,26 +1,35 @@
-//! The bag of words of an image: a sparse tf-idf vector.
+//! The bag of words of an image: a sparse vector of weighted words.
 
 use crate::vocabulary::{Vocabulary, WordId};
 
-/// A sparse tf-idf vector of L1 length 1 (or empty), sorted by word.
+/// A sparse vector of L1 length 1 (or empty), sorted by word.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BowVector {
-    entries: Vec<(WordId, f32)>,
+    entries: Vec<(WordId, f64)>,
 }
 
 impl BowVector {
-    /// The vector of an image that shows `words`. Words that every training image shows weigh nothing
-    /// and are left out.
+    /// The vector of an image that shows `words`, weighted as `vocabulary` says. Words that weigh nothing,
+    /// such as those that every training image shows, are left out.
+    ///
+    /// Weights are added up and divided in the order of DBoW2, so that the same words give the same vector to
+    /// the last bit (for its scorings L1, χ², KL and Bhattacharyya, which all want vectors of L1 length 1).
     #[must_use]
     pub fn new(words: impl IntoIterator<Item = WordId>, vocabulary: &Vocabulary) -> Self {
         let mut words: Vec<WordId> = words.into_iter().collect();
         words.sort_unstable();
-        let mut entries: Vec<(WordId, f32)> = words
-            .chunk_by(|a, b| a == b)
-            .map(|run| (run[0], run.len() as f32 * vocabulary.weight(run[0])))
-            .filter(|&(_, weight)| weight > 0.0)
-            .collect();
-        let length: f32 = entries.iter().map(|entry| entry.1).sum();
+        let counts_repetitions = vocabulary.weighting().counts_repetitions();
+        let mut entries = Vec::with_capacity(words.len());
+        for run in words.chunk_by(|a, b| a == b) {
+            let weight = vocabulary.weight(run[0]);
+            let repetitions = if counts_repetitions { run.len() } else { 1 };
+            // A sum, not a product: the rounding differs.
+            let value = (1..repetitions).fold(weight, |sum, _| sum + weight);
+            if value > 0.0 {
+                entries.push((run[0], value));
+            }
+        }
+        let length: f64 = entries.iter().map(|entry| entry.1).sum();
         for (_, weight) in &mut entries {
             *weight /= length;
         }
@@ -29,7 +38,80 @@ impl BowVector {
 
     /// Words with their weights, sorted by word.
     #[must_use]
-    pub fn entries(&self) -> &[(WordId, f32)] {
+    pub fn entries(&self) -> &[(WordId, f64)] {
         &self.entries
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::path::Path;
+
+    use super::*;
+    use crate::feature::Descriptor;
+    use crate::retrieval::InvertedIndex;
+    use crate::vocabulary::import;
+
+    const TEXT: &[u8] = include_bytes!("../../tests/data/vocabulary/orb_k8_l3.txt");
+    const YAML: &[u8] = include_bytes!("../../tests/data/vocabulary/orb_k8_l3.yml.gz");
+    const DBOW3: &[u8] = include_bytes!("../../tests/data/vocabulary/orb_k8_l3.dbow3");
+    const QUERIES: &[u8] = include_bytes!("../../tests/data/vocabulary/queries.bin");
+    /// What DBoW2 computes of the queries: `tests/data/vocabulary/README.md`.
+    const BAGS: &str = include_str!("../../tests/data/vocabulary/bow_dbow2.csv");
+    const SCORES: &str = include_str!("../../tests/data/vocabulary/scores_dbow2.csv");
+
+    /// The vectors of the six images by the vocabulary in `file`.
+    fn vectors(file: &[u8]) -> Vec<BowVector> {
+        let vocabulary = import::from_bytes(file, Path::new("voc")).unwrap().1;
+        let (mut vectors, mut rest) = (Vec::new(), QUERIES);
+        while let Some((count, tail)) = rest.split_first_chunk::<4>() {
+            let (image, tail) = tail.split_at(u32::from_le_bytes(*count) as usize * 32);
+            let words = image.as_chunks().0.iter().map(|&bytes| vocabulary.quantise(&Descriptor(bytes)).word);
+            vectors.push(BowVector::new(words, &vocabulary));
+            rest = tail;
+        }
+        vectors
+    }
+
+    fn dbow2_bags() -> Vec<BTreeMap<u32, f64>> {
+        let mut bags = vec![BTreeMap::new(); 6];
+        for line in BAGS.lines().skip(1) {
+            let fields: Vec<&str> = line.split(',').collect();
+            let image: usize = fields[0].parse().unwrap();
+            bags[image].insert(fields[1].parse().unwrap(), fields[2].parse().unwrap());
+        }
+        bags
+    }
+
+    fn bag(vector: &BowVector) -> BTreeMap<u32, f64> {
+        vector.entries().iter().map(|&(word, value)| (word.0, value)).collect()
+    }
+
+    #[test]
+    fn vectors_of_an_imported_vocabulary_equal_those_of_dbow2_to_the_last_bit() {
+        for file in [TEXT, YAML] {
+            assert_eq!(vectors(file).iter().map(bag).collect::<Vec<_>>(), dbow2_bags());
+        }
+    }
+
+    #[test]
+    fn the_index_scores_as_dbow2_does() {
+        let vectors = vectors(DBOW3);
+        let mut index = InvertedIndex::default();
+        for vector in &vectors {
+            index.add(vector);
+        }
+        let mut compared = 0;
+        for line in SCORES.lines().filter(|line| line.starts_with("L1,")) {
+            let fields: Vec<&str> = line.split(',').collect();
+            let [query, document] = [1, 2].map(|field| fields[field].parse::<usize>().unwrap());
+            let found = index.query(&vectors[query], |_| true);
+            let found = found.iter().find(|retrieved| retrieved.document.0 as usize == document);
+            let (got, expected) = (found.map_or(0.0, |f| f.score), fields[3].parse::<f32>().unwrap());
+            assert!((got - expected).abs() < 1e-6, "{line}: {got}");
+            compared += 1;
+        }
+        assert_eq!(compared, 36);
     }
 }

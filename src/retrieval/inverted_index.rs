@@ -1,8 +1,11 @@
 //! The inverted index: for every word the images that show it.
 
+use std::collections::HashMap;
+
 use heapless::Vec as FixedVec;
 
 use super::BowVector;
+use crate::vocabulary::WordId;
 
 /// Most documents that a query answers with.
 pub const MAX_RETRIEVED: usize = 16;
@@ -26,28 +29,21 @@ struct Posting {
     weight: f32,
 }
 
-/// Posting lists of all words.
+/// Posting lists of the words that were seen; a vocabulary has many more.
+#[derive(Default)]
 pub struct InvertedIndex {
-    postings: Vec<Vec<Posting>>,
+    postings: HashMap<WordId, Vec<Posting>>,
     /// Score of each document in the query under way; all zero in between.
     accumulators: Vec<f32>,
 }
 
 impl InvertedIndex {
-    /// An empty index over a vocabulary of `word_count` words.
-    #[must_use]
-    pub fn new(word_count: u32) -> Self {
-        Self { postings: vec![Vec::new(); word_count as usize], accumulators: Vec::new() }
-    }
-
-    /// Indexes an image. Words outside the vocabulary are ignored.
+    /// Indexes an image.
     pub fn add(&mut self, bow: &BowVector) -> DocumentId {
         let document = self.accumulators.len() as u32;
         self.accumulators.push(0.0);
         for &(word, weight) in bow.entries() {
-            if let Some(list) = self.postings.get_mut(word.0 as usize) {
-                list.push(Posting { document, weight });
-            }
+            self.postings.entry(word).or_default().push(Posting { document, weight: weight as f32 });
         }
         DocumentId(document)
     }
@@ -74,7 +70,8 @@ impl InvertedIndex {
     ) -> FixedVec<Retrieved, MAX_RETRIEVED> {
         let mut touched = Vec::new();
         for &(word, weight) in bow.entries() {
-            for posting in self.postings.get(word.0 as usize).into_iter().flatten() {
+            let weight = weight as f32;
+            for posting in self.postings.get(&word).into_iter().flatten() {
                 let accumulator = &mut self.accumulators[posting.document as usize];
                 if *accumulator == 0.0 {
                     touched.push(posting.document);
@@ -112,7 +109,7 @@ fn insert_sorted(best: &mut FixedVec<Retrieved, MAX_RETRIEVED>, next: Retrieved)
 mod tests {
     use super::*;
     use crate::feature::Descriptor;
-    use crate::vocabulary::{TrainingOptions, Vocabulary, WordId, train};
+    use crate::vocabulary::{TrainingOptions, Vocabulary, train};
     use proptest::prelude::*;
 
     fn vocabulary() -> Vocabulary {
@@ -124,7 +121,7 @@ mod tests {
 
     fn score_by_definition(a: &BowVector, b: &BowVector) -> f32 {
         let weight = |bow: &BowVector, word: u32| {
-            bow.entries().iter().find(|entry| entry.0 == WordId(word)).map_or(0.0, |entry| entry.1)
+            bow.entries().iter().find(|entry| entry.0 == WordId(word)).map_or(0.0, |entry| entry.1 as f32)
         };
         1.0 - 0.5 * (0..100).map(|word| (weight(a, word) - weight(b, word)).abs()).sum::<f32>()
     }
@@ -138,7 +135,7 @@ mod tests {
         ) {
             let vocabulary = vocabulary();
             let bow = |words: &[u32]| BowVector::new(words.iter().copied().map(WordId), &vocabulary);
-            let mut index = InvertedIndex::new(vocabulary.word_count());
+            let mut index = InvertedIndex::default();
             for image in &images {
                 index.add(&bow(image));
             }
@@ -161,7 +158,7 @@ mod tests {
     #[test]
     fn an_image_scores_one_against_itself_and_leads() {
         let vocabulary = vocabulary();
-        let mut index = InvertedIndex::new(vocabulary.word_count());
+        let mut index = InvertedIndex::default();
         let one = BowVector::new([1, 2, 3].map(WordId), &vocabulary);
         index.add(&BowVector::new([3, 4, 5].map(WordId), &vocabulary));
         let own = index.add(&one);

@@ -5,11 +5,15 @@
 //! it ends in is its visual word. A word weighs the more the fewer training images showed it.
 
 mod format;
+pub mod import;
 mod training;
 mod tree;
+mod version_1;
 
 pub use training::{TrainingOptions, train};
 pub use tree::{Quantised, Vocabulary};
+
+use std::path::PathBuf;
 
 use crate::storage::StorageError;
 
@@ -22,6 +26,43 @@ pub struct WordId(pub u32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct NodeId(pub u32);
 
+/// How words weigh in a bag of words; DBoW2's numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weighting {
+    /// How often the image shows the word, times the word's inverse document frequency.
+    TfIdf = 0,
+    /// How often the image shows the word.
+    Tf = 1,
+    /// The inverse document frequency of every word that the image shows.
+    Idf = 2,
+    /// One for every word that the image shows.
+    Binary = 3,
+}
+
+impl Weighting {
+    /// The name for people and records.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::TfIdf => "tf-idf",
+            Self::Tf => "tf",
+            Self::Idf => "idf",
+            Self::Binary => "binary",
+        }
+    }
+
+    /// Whether a word weighs the more the oftener an image shows it.
+    #[must_use]
+    pub fn counts_repetitions(self) -> bool {
+        matches!(self, Self::TfIdf | Self::Tf)
+    }
+
+    /// DBoW2's number, read back.
+    fn from_number(number: u32) -> Option<Self> {
+        [Self::TfIdf, Self::Tf, Self::Idf, Self::Binary].get(number as usize).copied()
+    }
+}
+
 /// Why a vocabulary could not be read or trained.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -29,6 +70,27 @@ pub enum VocabularyError {
     /// The file could not be read.
     #[error(transparent)]
     Storage(#[from] StorageError),
+    /// The file is of no kind that can be imported.
+    #[error(
+        "{} is no vocabulary that Loci knows; expected .lvoc, ORB-SLAM text, DBoW2 YAML (.yml, .yml.gz), \
+         DBoW3 binary or FBoW", path.display()
+    )]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A foreign file does not hold what its kind says.
+    #[error("{} is a damaged {format}: at {place}: {reason}", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What it begins as.
+        format: &'static str,
+        /// Where it was noticed: a byte or a line.
+        place: String,
+        /// What is wrong there.
+        reason: String,
+    },
     /// Nothing to learn from.
     #[error("no features in the training images: use sharper or larger ones")]
     NothingToLearn,

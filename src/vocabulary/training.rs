@@ -47,8 +47,15 @@ pub fn train(images: &[Vec<Descriptor>], options: TrainingOptions) -> Result<Voc
     }
     let mut tree = Tree::grow(descriptors, options, Pcg64::seed_from_u64(seed));
     let words = tree.number_the_words();
-    let counts =
-        Counts { branching, depth, nodes: tree.links.len() as u32, words, images: images.len() as u32 };
+    let counts = Counts {
+        branching,
+        depth,
+        nodes: tree.links.len() as u32,
+        words,
+        images: images.len() as u32,
+        weighting: super::Weighting::TfIdf,
+        luminance: None,
+    };
     let unweighted = format::encode(&counts, &tree.centres, &tree.links, &vec![0.0; words as usize]);
     let path = Path::new("the trained vocabulary");
     let vocabulary = Vocabulary::from_bytes(unweighted, path)?;
@@ -57,7 +64,7 @@ pub fn train(images: &[Vec<Descriptor>], options: TrainingOptions) -> Result<Voc
 }
 
 /// ln(N / Nᵢ): N images in all, Nᵢ of them show word i.
-fn inverse_document_frequencies(vocabulary: &Vocabulary, images: &[Vec<Descriptor>]) -> Vec<f32> {
+fn inverse_document_frequencies(vocabulary: &Vocabulary, images: &[Vec<Descriptor>]) -> Vec<f64> {
     let mut images_with_word = vec![0_u32; vocabulary.word_count() as usize];
     for image in images {
         let mut words: Vec<u32> =
@@ -69,7 +76,7 @@ fn inverse_document_frequencies(vocabulary: &Vocabulary, images: &[Vec<Descripto
         }
     }
     let total = images.len() as f64;
-    let weight = |&count: &u32| if count == 0 { 0.0 } else { (total / f64::from(count)).ln() as f32 };
+    let weight = |&count: &u32| if count == 0 { 0.0 } else { (total / f64::from(count)).ln() };
     images_with_word.iter().map(weight).collect()
 }
 
@@ -87,7 +94,7 @@ struct Tree {
     links: Vec<Link>,
 }
 
-const LEAF: Link = Link { first: 0, children: 0 };
+const LEAF: Link = Link::Word(0);
 
 impl Tree {
     fn grow(mut descriptors: Vec<Descriptor>, options: TrainingOptions, mut random: Pcg64) -> Self {
@@ -99,7 +106,8 @@ impl Tree {
             }
             let run = &mut descriptors[start..end];
             let split = split(run, options.branching as usize, &mut random);
-            tree.links[node] = Link { first: tree.links.len() as u32, children: split.len() as u32 };
+            tree.links[node] =
+                Link::Children { first: tree.links.len() as u32, children: split.len() as u32 };
             let mut start = start;
             for Cluster { centre, size } in split {
                 queue.push_back(Unsplit {
@@ -119,9 +127,11 @@ impl Tree {
     /// Gives every leaf its word, in the order of the nodes; answers how many there are.
     fn number_the_words(&mut self) -> u32 {
         let mut words = 0;
-        for link in self.links.iter_mut().filter(|link| link.children == 0) {
-            link.first = words;
-            words += 1;
+        for link in &mut self.links {
+            if let Link::Word(word) = link {
+                *word = words;
+                words += 1;
+            }
         }
         words
     }
@@ -281,7 +291,7 @@ mod tests {
         let images = vec![vec![common, rare], vec![common], vec![common], vec![common, rare]];
         let vocabulary = train(&images, options(2, 1)).unwrap();
         assert_eq!(vocabulary.weight(vocabulary.quantise(&common).word), 0.0);
-        assert_eq!(vocabulary.weight(vocabulary.quantise(&rare).word), 2.0_f32.ln());
+        assert_eq!(vocabulary.weight(vocabulary.quantise(&rare).word), 2.0_f64.ln());
         assert_eq!(vocabulary.weight(crate::vocabulary::WordId(99)), 0.0);
     }
 

@@ -2,13 +2,17 @@
 
 use std::path::Path;
 
-use super::format::{self, Counts, KIND, Link};
-use super::{NodeId, VocabularyError, WordId};
+use super::format::{self, Counts, KIND, Link, MAX_DEPTH, Tables};
+use super::{NodeId, VocabularyError, Weighting, WordId, version_1};
 use crate::feature::Descriptor;
+use crate::kernel;
 use crate::storage::{FileBytes, StorageError, replace_file};
 
 /// The level whose nodes serve as direct index, counted from the root.
 const DIRECT_INDEX_LEVEL: u32 = 2;
+
+/// Largest weight that is believed; ln(N / Nᵢ) of a billion images is 21.
+const MAX_WEIGHT: f64 = 1e6;
 
 /// What the tree says of a descriptor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,9 +21,11 @@ pub struct Quantised {
     pub word: WordId,
     /// The node it passed near the root.
     pub node: NodeId,
+    /// Hamming distance to the centre of its word, in bits.
+    pub distance_bits: u16,
 }
 
-/// A vocabulary tree, memory-mapped or just trained.
+/// A vocabulary tree, memory-mapped or just made.
 #[derive(Debug)]
 pub struct Vocabulary {
     bytes: FileBytes,
@@ -28,7 +34,8 @@ pub struct Vocabulary {
 
 impl Vocabulary {
     /// Maps the vocabulary file at `path`; nothing is copied. Header, counts and links are checked,
-    /// the checksum only by [`verify`](Self::verify).
+    /// the checksum only by [`verify`](Self::verify). A file of version 1 is read whole, checksum and
+    /// all, and rewritten in memory.
     ///
     /// # Errors
     /// If the file cannot be read, is of another kind, newer, or damaged.
@@ -44,8 +51,14 @@ impl Vocabulary {
         Self::check(FileBytes::Owned(bytes), path)
     }
 
-    fn check(bytes: FileBytes, path: &Path) -> Result<Self, VocabularyError> {
-        let counts = format::check(&bytes, path)?;
+    fn check(mut bytes: FileBytes, path: &Path) -> Result<Self, VocabularyError> {
+        let (version, body) = KIND.body(&bytes, path)?;
+        if version < KIND.version {
+            KIND.verify(&bytes, path)?;
+            let damaged = |reason| StorageError::Damaged { path: path.to_owned(), reason };
+            bytes = FileBytes::Owned(version_1::rewritten(body).map_err(damaged)?);
+        }
+        let counts = format::check(&bytes, KIND.body(&bytes, path)?.1, path)?;
         Ok(Self { bytes, counts })
     }
 
@@ -89,10 +102,22 @@ impl Vocabulary {
         self.counts.words
     }
 
-    /// Number of images that it was trained on.
+    /// Number of images that it was trained on; 0 if its source does not say.
     #[must_use]
     pub fn image_count(&self) -> u32 {
         self.counts.images
+    }
+
+    /// How its words weigh in a bag of words.
+    #[must_use]
+    pub fn weighting(&self) -> Weighting {
+        self.counts.weighting
+    }
+
+    /// Mean luminance of the images that it was trained on, 0 to 255, if it is known.
+    #[must_use]
+    pub fn luminance(&self) -> Option<f32> {
+        self.counts.luminance
     }
 
     /// Length of the file in bytes.
@@ -101,32 +126,105 @@ impl Vocabulary {
         self.bytes.len()
     }
 
-    /// Inverse document frequency ln(N / Nᵢ) of a word of this vocabulary; 0 for any other.
+    /// Weight of a word of this vocabulary, for tf-idf its inverse document frequency ln(N / Nᵢ). 0, as if
+    /// every image showed it, for any other word, and where a damaged file says no sensible number.
     #[must_use]
-    pub fn weight(&self, word: WordId) -> f32 {
-        let weights = self.counts.tables(&self.bytes).weights;
-        weights.get(word.0 as usize).map_or(0.0, |&bytes| f32::from_le_bytes(bytes))
+    pub fn weight(&self, word: WordId) -> f64 {
+        let weights = self.tables().weights;
+        let weight = weights.get(word.0 as usize).map_or(0.0, |&bytes| f64::from_le_bytes(bytes));
+        if (0.0..MAX_WEIGHT).contains(&weight) { weight } else { 0.0 }
     }
 
     /// The word of `descriptor`: at every node the nearest child, of equally near ones the first.
     #[must_use]
     pub fn quantise(&self, descriptor: &Descriptor) -> Quantised {
-        let tables = self.counts.tables(&self.bytes);
-        let (mut node, mut level, mut direct_index_node) = (0, 0, 0);
-        loop {
-            if level <= DIRECT_INDEX_LEVEL {
-                direct_index_node = node;
-            }
-            let link = Link::from_bytes(tables.links[node as usize]);
-            if link.children == 0 {
-                return Quantised { word: WordId(link.first), node: NodeId(direct_index_node) };
-            }
-            let run = link.first as usize..(link.first + link.children) as usize;
-            let distances =
-                tables.descriptors[run].iter().map(|centre| descriptor.distance(&Descriptor(*centre)));
-            let nearest = distances.zip(link.first..).min_by_key(|&(distance, _)| distance);
-            node = nearest.map_or(link.first, |(_, child)| child);
-            level += 1;
+        descend(self.tables(), descriptor)
+    }
+
+    /// The words of all `descriptors`, in their order.
+    #[must_use]
+    pub fn quantise_all(&self, descriptors: &[Descriptor]) -> Vec<Quantised> {
+        let tables = self.tables();
+        descriptors.iter().map(|descriptor| descend(tables, descriptor)).collect()
+    }
+
+    fn tables(&self) -> Tables<'_> {
+        self.counts.tables(&self.bytes)
+    }
+}
+
+/// A tree deeper than [`MAX_DEPTH`], which only a damaged file holds, ends in word 0.
+fn descend(tables: Tables<'_>, descriptor: &Descriptor) -> Quantised {
+    let (mut node, mut distance_bits, mut direct_index_node) = (0, 0, 0);
+    for level in 0..=MAX_DEPTH {
+        if level <= DIRECT_INDEX_LEVEL {
+            direct_index_node = node;
         }
+        match Link::from_bytes(tables.links[node as usize]) {
+            Link::Word(word) => {
+                return Quantised { word: WordId(word), node: NodeId(direct_index_node), distance_bits };
+            }
+            Link::Children { first, children } => {
+                let run = &tables.descriptors[first as usize..(first + children) as usize];
+                let (nearest, distance) = kernel::nearest(&descriptor.0, run);
+                node = first + nearest;
+                distance_bits = distance as u16;
+            }
+        }
+    }
+    Quantised { word: WordId(0), node: NodeId(direct_index_node), distance_bits }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const VERSION_1: &[u8] = include_bytes!("../../tests/data/vocabulary/version_1.lvoc");
+
+    /// The word of `descriptor` and its weight by the description of version 1, link by link.
+    fn by_version_1(descriptor: &Descriptor) -> (u32, f32) {
+        let u32_at = |offset: usize| u32::from_le_bytes(VERSION_1[offset..offset + 4].try_into().unwrap());
+        let nodes = u32_at(40) as usize;
+        let link = |node: usize| (u32_at(64 + 32 * nodes + 8 * node), u32_at(64 + 32 * nodes + 8 * node + 4));
+        let centre = |node: usize| Descriptor(VERSION_1[64 + 32 * node..][..32].try_into().unwrap());
+        let mut node = 0;
+        while link(node).1 > 0 {
+            let (first, children) = link(node);
+            let run = first as usize..(first + children) as usize;
+            node = run.min_by_key(|&child| descriptor.distance(&centre(child))).unwrap();
+        }
+        let word = link(node).0;
+        (word, f32::from_bits(u32_at(64 + 40 * nodes + 4 * word as usize)))
+    }
+
+    #[test]
+    fn a_file_of_version_1_opens_with_the_words_and_weights_that_it_had() {
+        let vocabulary = Vocabulary::from_bytes(VERSION_1.to_vec(), Path::new("v1")).unwrap();
+        assert_eq!((vocabulary.node_count(), vocabulary.word_count()), (121, 81));
+        let mut words = std::collections::BTreeSet::new();
+        for seed in 0..=255_u8 {
+            let descriptor = Descriptor(std::array::from_fn(|i| seed.wrapping_mul(i as u8 ^ 91) ^ seed));
+            let (word, weight) = by_version_1(&descriptor);
+            assert_eq!(vocabulary.quantise(&descriptor).word, WordId(word));
+            assert_eq!(vocabulary.weight(WordId(word)), f64::from(weight));
+            words.insert(word);
+        }
+        assert!(words.len() > 20, "{} words", words.len());
+    }
+
+    #[test]
+    fn a_bit_flipped_in_a_file_of_version_1_is_found_at_opening() {
+        let mut bytes = VERSION_1.to_vec();
+        bytes[1000] ^= 1;
+        let error = Vocabulary::from_bytes(bytes, Path::new("old.lvoc")).unwrap_err().to_string();
+        assert!(error.starts_with("old.lvoc is damaged: expected checksum"), "{error}");
+    }
+
+    #[test]
+    fn a_newer_file_says_so_in_one_line() {
+        let mut bytes = VERSION_1.to_vec();
+        bytes[8] = 3;
+        let error = Vocabulary::from_bytes(bytes, Path::new("new.lvoc")).unwrap_err().to_string();
+        assert!(error.contains("of version 3, this Loci reads up to 2: update Loci"), "{error}");
     }
 }

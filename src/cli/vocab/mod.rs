@@ -1,4 +1,4 @@
-//! `loci vocab`: train and inspect visual vocabularies.
+//! `loci vocab`: train, import and inspect visual vocabularies.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,8 @@ use clap::{Args, Subcommand};
 use indicatif::ProgressDrawTarget;
 use loci::feature::{Descriptor, OrbExtractor, OrbOptions};
 use loci::source;
-use loci::vocabulary::{TrainingOptions, Vocabulary, train};
+use loci::storage::check_replaceable;
+use loci::vocabulary::{self, TrainingOptions, Vocabulary, WordId, train};
 use serde::Serialize;
 
 use super::console::progress_bar;
@@ -19,8 +20,8 @@ pub(super) enum VocabCommand {
     Train(TrainArguments),
     /// What a vocabulary file holds
     Info(InfoArguments),
-    /// Import a DBoW2, DBoW3 or FBoW vocabulary (not built yet)
-    Import(Anything),
+    /// Turn a vocabulary of ORB-SLAM, DBoW2, DBoW3 or FBoW, or an older one of Loci, into a .lvoc file
+    Import(ImportArguments),
     /// Time a vocabulary (not built yet)
     Bench(Anything),
 }
@@ -51,6 +52,20 @@ pub(super) struct TrainArguments {
     json: bool,
 }
 
+/// Arguments of `loci vocab import`.
+#[derive(Args)]
+#[command(after_help = "Example:\n  loci vocab import ORBvoc.txt --out orb.lvoc")]
+pub(super) struct ImportArguments {
+    /// ORB-SLAM text, DBoW2 YAML (.yml, .yml.gz), DBoW3 binary, FBoW, or an older .lvoc
+    file: PathBuf,
+    /// File to write
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
 /// Arguments of `loci vocab info`.
 #[derive(Args)]
 #[command(after_help = "Example:\n  loci vocab info vocab/default.lvoc --verify")]
@@ -72,7 +87,13 @@ struct Info {
     depth: u32,
     nodes: u32,
     words: u32,
+    /// Words that never count, because every training image shows them or their weight is unknown.
+    weightless_words: usize,
+    weighting: &'static str,
+    /// 0 if unknown.
     images: u32,
+    /// Mean luminance of those images, 0 to 255.
+    mean_luminance: Option<f32>,
     bytes: usize,
     verified: bool,
 }
@@ -82,7 +103,7 @@ pub(super) fn run(command: VocabCommand) -> anyhow::Result<Outcome> {
     match command {
         VocabCommand::Train(arguments) => learn(&arguments),
         VocabCommand::Info(arguments) => info(&arguments),
-        VocabCommand::Import(_) => not_built("vocab import"),
+        VocabCommand::Import(arguments) => import(&arguments),
         VocabCommand::Bench(_) => not_built("vocab bench"),
     }
 }
@@ -121,6 +142,17 @@ fn descriptors(sources: &[String]) -> anyhow::Result<(Vec<Vec<Descriptor>>, usiz
     Ok((images, skipped))
 }
 
+fn import(arguments: &ImportArguments) -> anyhow::Result<Outcome> {
+    check_replaceable(&arguments.out)?;
+    let (format, vocabulary) = vocabulary::import::import(&arguments.file)?;
+    vocabulary.save(&arguments.out)?;
+    if !arguments.json {
+        println!("imported    {} ({})", arguments.file.display(), format.as_str());
+    }
+    print(&describe(&vocabulary, arguments.out.display().to_string(), true), arguments.json)?;
+    Ok(Outcome::Done)
+}
+
 fn info(arguments: &InfoArguments) -> anyhow::Result<Outcome> {
     let vocabulary = Vocabulary::open(&arguments.file)?;
     if arguments.verify {
@@ -131,16 +163,24 @@ fn info(arguments: &InfoArguments) -> anyhow::Result<Outcome> {
 }
 
 fn describe(vocabulary: &Vocabulary, file: String, verified: bool) -> Info {
+    let words = vocabulary.word_count();
     Info {
         file,
         branching: vocabulary.branching(),
         depth: vocabulary.depth(),
         nodes: vocabulary.node_count(),
-        words: vocabulary.word_count(),
+        words,
+        weightless_words: (0..words).filter(|&word| vocabulary.weight(WordId(word)) == 0.0).count(),
+        weighting: vocabulary.weighting().as_str(),
         images: vocabulary.image_count(),
+        mean_luminance: vocabulary.luminance(),
         bytes: vocabulary.length_bytes(),
         verified,
     }
+}
+
+fn light(mean_luminance: Option<f32>) -> String {
+    mean_luminance.map(|mean| format!(" of mean luminance {mean:.1}")).unwrap_or_default()
 }
 
 fn print(info: &Info, json: bool) -> anyhow::Result<()> {
@@ -150,8 +190,14 @@ fn print(info: &Info, json: bool) -> anyhow::Result<()> {
     }
     println!("vocabulary  {}", info.file);
     println!("tree        branching {}, depth {}, {} nodes", info.branching, info.depth, info.nodes);
-    println!("words       {}", info.words);
-    println!("trained on  {} images", info.images);
+    println!(
+        "words       {}, {} of them without weight; {}",
+        info.words, info.weightless_words, info.weighting
+    );
+    match info.images {
+        0 => println!("trained on  unknown images"),
+        images => println!("trained on  {images} images{}", light(info.mean_luminance)),
+    }
     println!("size        {} bytes", info.bytes);
     println!("checksum    {}", if info.verified { "right" } else { "not checked (use --verify)" });
     Ok(())
