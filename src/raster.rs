@@ -63,6 +63,13 @@ impl GreyImage {
     pub fn get(&self, x: usize, y: usize) -> u8 {
         self.pixels[y * self.width + x]
     }
+
+    /// Mean of all pixels, 0 (black) to 255 (white); 0 of no pixel.
+    #[must_use]
+    pub fn mean_luminance(&self) -> f32 {
+        let sum: u64 = self.pixels.iter().map(|&pixel| u64::from(pixel)).sum();
+        sum as f32 / self.pixels.len().max(1) as f32
+    }
 }
 
 /// An 8-bit RGB image of `width` × `height` pixels, row-major, three bytes a pixel.

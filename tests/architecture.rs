@@ -28,7 +28,7 @@ const FLOORS: [(&str, u32); 18] = [
 ];
 
 /// Outside libraries and the modules that may use them.
-const HOMES: [(&str, &[&str]); 25] = [
+const HOMES: [(&str, &[&str]); 26] = [
     ("anyhow", &["cli", "main"]),
     ("clap", &["cli"]),
     ("indicatif", &["cli"]),
@@ -53,6 +53,7 @@ const HOMES: [(&str, &[&str]); 25] = [
     ("flate2", &["evaluation", "vocabulary"]),
     ("plotters", &["evaluation"]),
     ("heapless", &["recognition", "retrieval", "verification"]),
+    ("rayon", &["vocabulary", "cli"]),
     ("rand_pcg", &["vocabulary", "source", "evaluation"]),
 ];
 

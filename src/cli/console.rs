@@ -48,7 +48,7 @@ impl Reporter {
     pub(super) fn new(frames: Option<u64>, lines_on_stdout: bool) -> Self {
         let hidden = lines_on_stdout && io::stdout().is_terminal();
         let target = if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        Self { progress: progress_bar(frames, target) }
+        Self { progress: progress_bar(frames, "frames", target) }
     }
 
     /// Clears the progress bar.
@@ -57,11 +57,13 @@ impl Reporter {
     }
 }
 
-/// A bar with count and remaining time; a spinner where the length is unknown.
-pub(super) fn progress_bar(length: Option<u64>, target: ProgressDrawTarget) -> ProgressBar {
+/// A bar over `length` of `unit` with count and remaining time; a spinner where the length is unknown.
+pub(super) fn progress_bar(length: Option<u64>, unit: &str, target: ProgressDrawTarget) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(length, target);
-    // The template is constant and tried by every run with a terminal.
-    if let Ok(style) = ProgressStyle::with_template("{wide_bar} {pos}/{len} frames, {eta} left") {
+    // The template is tried by every run with a terminal.
+    if let Ok(style) =
+        ProgressStyle::with_template(&format!("{{wide_bar}} {{pos}}/{{len}} {unit}, {{eta}} left"))
+    {
         bar.set_style(style);
     }
     bar.enable_steady_tick(Duration::from_millis(250));

@@ -443,7 +443,9 @@ mod tests {
     impl Robot {
         fn new(model: Option<cnn::ModelCard>, options: RecognitionOptions, map: PlaceMap) -> Self {
             let images: Vec<Vec<Descriptor>> = (0..8).map(|place| features(place).descriptors).collect();
-            let vocabulary = train(&images, TrainingOptions { branching: 6, depth: 3, seed: 1 }).unwrap();
+            let vocabulary =
+                train(&images, TrainingOptions { branching: 6, depth: 3, ..TrainingOptions::default() })
+                    .unwrap();
             Self { recogniser: Recogniser::new(Arc::new(vocabulary), map, model, options), frames: 0 }
         }
 

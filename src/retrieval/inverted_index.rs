@@ -116,7 +116,7 @@ mod tests {
         let images: Vec<Vec<Descriptor>> = (0..30_u8)
             .map(|i| (0..3).map(|j| Descriptor([(i * 3 + j).wrapping_mul(37); 32])).collect())
             .collect();
-        train(&images, TrainingOptions { branching: 6, depth: 2, seed: 1 }).unwrap()
+        train(&images, TrainingOptions { branching: 6, depth: 2, ..TrainingOptions::default() }).unwrap()
     }
 
     fn score_by_definition(a: &BowVector, b: &BowVector) -> f32 {

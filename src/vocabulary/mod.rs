@@ -10,7 +10,10 @@ mod training;
 mod tree;
 mod version_1;
 
-pub use training::{TrainingOptions, train};
+pub use training::{
+    Corpus, CorpusImage, MemoryCorpus, Trained, TrainingFile, TrainingOptions, TrainingProgress, train,
+    train_on,
+};
 pub use tree::{Quantised, Vocabulary};
 
 use std::path::PathBuf;
@@ -90,6 +93,12 @@ pub enum VocabularyError {
         place: String,
         /// What is wrong there.
         reason: String,
+    },
+    /// A training was cut off, and another one wants its file.
+    #[error("{} is of other images: delete it, or train them to its end first", path.display())]
+    OtherImages {
+        /// The file.
+        path: PathBuf,
     },
     /// Nothing to learn from.
     #[error("no features in the training images: use sharper or larger ones")]

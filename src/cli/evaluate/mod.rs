@@ -98,7 +98,7 @@ fn evaluate(
         None => "no CNN; kernels in scalar Rust".to_owned(),
     };
     let header = header::header(&eyes, &options, (&vocabulary_path, suite), backend)?;
-    let progress = Progress { bar: progress_bar(None, ProgressDrawTarget::stderr()) };
+    let progress = Progress { bar: progress_bar(None, "frames", ProgressDrawTarget::stderr()) };
     let mut evaluator = Evaluator::new(eyes, options, keeps_pictures, (stop, &progress));
     let mut experiments: Vec<Experiment> = Vec::new();
     for (index, plan) in plans.iter().enumerate() {

@@ -1,55 +1,27 @@
 //! `loci vocab`: train, import and inspect visual vocabularies.
 
+mod train;
+
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use indicatif::ProgressDrawTarget;
-use loci::feature::{Descriptor, OrbExtractor, OrbOptions};
-use loci::source;
 use loci::storage::check_replaceable;
-use loci::vocabulary::{self, TrainingOptions, Vocabulary, WordId, train};
+use loci::vocabulary::{self, Vocabulary, WordId};
 use serde::Serialize;
 
-use super::console::progress_bar;
 use super::{Anything, Outcome, not_built};
 
 /// Commands of `loci vocab`.
 #[derive(Subcommand)]
 pub(super) enum VocabCommand {
     /// Learn a vocabulary from images
-    Train(TrainArguments),
+    Train(train::TrainArguments),
     /// What a vocabulary file holds
     Info(InfoArguments),
     /// Turn a vocabulary of ORB-SLAM, DBoW2, DBoW3 or FBoW, or an older one of Loci, into a .lvoc file
     Import(ImportArguments),
     /// Time a vocabulary (not built yet)
     Bench(Anything),
-}
-
-/// Arguments of `loci vocab train`.
-#[derive(Args)]
-#[command(
-    after_help = "Example:\n  loci vocab train photos/hall photos/yard --branching 10 --depth 5 --out site.lvoc"
-)]
-pub(super) struct TrainArguments {
-    /// Folders of images, or synthetic:… worlds
-    #[arg(required = true)]
-    sources: Vec<String>,
-    /// Children a node, 2 to 32
-    #[arg(long, default_value_t = 10)]
-    branching: u32,
-    /// Levels below the root, 1 to 8
-    #[arg(long, default_value_t = 5)]
-    depth: u32,
-    /// Seed of the random choice of first centres
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// File to write
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
 /// Arguments of `loci vocab import`.
@@ -101,45 +73,11 @@ struct Info {
 /// Runs a command of `loci vocab`.
 pub(super) fn run(command: VocabCommand) -> anyhow::Result<Outcome> {
     match command {
-        VocabCommand::Train(arguments) => learn(&arguments),
+        VocabCommand::Train(arguments) => train::run(&arguments),
         VocabCommand::Info(arguments) => info(&arguments),
         VocabCommand::Import(arguments) => import(&arguments),
         VocabCommand::Bench(_) => not_built("vocab bench"),
     }
-}
-
-fn learn(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
-    let (images, skipped) = descriptors(&arguments.sources)?;
-    let options =
-        TrainingOptions { branching: arguments.branching, depth: arguments.depth, seed: arguments.seed };
-    let vocabulary = train(&images, options)?;
-    vocabulary.save(&arguments.out)?;
-    print(&describe(&vocabulary, arguments.out.display().to_string(), true), arguments.json)?;
-    Ok(if skipped == 0 { Outcome::Done } else { Outcome::Lost })
-}
-
-/// The descriptors of every image of `sources`, and how many images could not be read.
-fn descriptors(sources: &[String]) -> anyhow::Result<(Vec<Vec<Descriptor>>, usize)> {
-    let extractor = OrbExtractor::new(OrbOptions::default());
-    let mut sources: Vec<_> =
-        sources.iter().map(|source| source::open(source, None)).collect::<Result<_, _>>()?;
-    let frames = sources.iter().map(|source| source.frame_count()).sum();
-    let progress = progress_bar(frames, ProgressDrawTarget::stderr());
-    let (mut images, mut skipped) = (Vec::new(), 0);
-    for source in &mut sources {
-        while let Some(frame) = source.next_frame() {
-            match frame {
-                Ok(frame) => images.push(extractor.extract(&frame.grey).descriptors),
-                Err(error) => {
-                    skipped += 1;
-                    progress.suspend(|| eprintln!("loci: skipped: {error}"));
-                }
-            }
-            progress.inc(1);
-        }
-    }
-    progress.finish_and_clear();
-    Ok((images, skipped))
 }
 
 fn import(arguments: &ImportArguments) -> anyhow::Result<Outcome> {

@@ -1,0 +1,235 @@
+//! One split: k-medians around binary centres (Grana et al., *A Fast Approach for Integrating ORB
+//! Descriptors in the Bag of Words Model*, 2013), seeded as k-means++ is.
+
+use rand::Rng;
+use rand_pcg::Pcg64;
+use rayon::prelude::*;
+
+use crate::feature::Descriptor;
+use crate::kernel;
+
+/// Rounds of k-medians after which a split is taken as it is. Splits settle in 5 to 30 rounds; this
+/// only bounds one that goes back and forth between equally good answers.
+const MAX_ROUNDS: usize = 100;
+/// Descriptors that one task works on; smaller sets are not worth a second core.
+const CHUNK_DESCRIPTORS: usize = 4096;
+
+/// A cluster of a split: its centre and how many descriptors it took.
+#[derive(Debug)]
+pub(super) struct Cluster {
+    pub(super) centre: [u8; 32],
+    pub(super) size: usize,
+}
+
+/// Splits `run` into at most `k` clusters and reorders it so that each is one run, in their order.
+pub(super) fn split(run: &mut [Descriptor], k: usize, random: &mut Pcg64) -> Vec<Cluster> {
+    let mut centres = first_centres(run, k, random);
+    let mut assignment = vec![u8::MAX; run.len()];
+    for _ in 0..MAX_ROUNDS {
+        if !assign(run, &centres, &mut assignment) {
+            break;
+        }
+        centres = medians(run, &assignment, &centres);
+    }
+    let sizes = sort_by_cluster(run, &assignment, centres.len());
+    let clusters = centres.into_iter().zip(sizes).map(|(centre, size)| Cluster { centre, size });
+    clusters.filter(|cluster| cluster.size > 0).collect()
+}
+
+/// Reorders `run` by cluster, stably; answers the sizes.
+fn sort_by_cluster(run: &mut [Descriptor], assignment: &[u8], k: usize) -> Vec<usize> {
+    let mut sizes = vec![0; k];
+    for &cluster in assignment {
+        sizes[usize::from(cluster)] += 1;
+    }
+    let mut next: Vec<usize> = (0..k).map(|cluster| sizes[..cluster].iter().sum()).collect();
+    let unsorted = run.to_vec();
+    for (descriptor, &cluster) in unsorted.into_iter().zip(assignment) {
+        let place = &mut next[usize::from(cluster)];
+        run[*place] = descriptor;
+        *place += 1;
+    }
+    sizes
+}
+
+/// k-means++ seeding: each further centre is drawn with probability proportional to the squared
+/// distance to the nearest one so far. Fewer than `k` where the descriptors repeat.
+fn first_centres(run: &[Descriptor], k: usize, random: &mut Pcg64) -> Vec<[u8; 32]> {
+    let mut centres = vec![run[random.random_range(0..run.len())].0];
+    let mut nearest = vec![u32::MAX; run.len()];
+    while centres.len() < k {
+        let newest = centres[centres.len() - 1];
+        let chunks = nearest.par_chunks_mut(CHUNK_DESCRIPTORS).zip(run.par_chunks(CHUNK_DESCRIPTORS));
+        let total: u64 = chunks.map(|(nearest, run)| approach(nearest, run, &newest)).sum();
+        if total == 0 {
+            break;
+        }
+        let mut drawn = random.random_range(0..total);
+        let chosen = nearest.iter().position(|&distance| {
+            let here = drawn < u64::from(distance);
+            drawn = drawn.saturating_sub(u64::from(distance));
+            here
+        });
+        centres.extend(chosen.map(|index| run[index].0));
+    }
+    centres
+}
+
+/// Lowers squared distances to that to `centre`, where it is nearer; answers their sum.
+fn approach(nearest: &mut [u32], run: &[Descriptor], centre: &[u8; 32]) -> u64 {
+    let mut total = 0;
+    for (distance, descriptor) in nearest.iter_mut().zip(run) {
+        let (_, bits) = kernel::nearest(&descriptor.0, std::slice::from_ref(centre));
+        *distance = (*distance).min(bits * bits);
+        total += u64::from(*distance);
+    }
+    total
+}
+
+/// Gives every descriptor its nearest centre, the first of equally near ones; whether any changed.
+fn assign(run: &[Descriptor], centres: &[[u8; 32]], assignment: &mut [u8]) -> bool {
+    let chunks = assignment.par_chunks_mut(CHUNK_DESCRIPTORS).zip(run.par_chunks(CHUNK_DESCRIPTORS));
+    let changed = chunks.map(|(assignment, run)| {
+        let mut changed = false;
+        for (assigned, descriptor) in assignment.iter_mut().zip(run) {
+            let nearest = kernel::nearest(&descriptor.0, centres).0 as u8;
+            changed |= nearest != *assigned;
+            *assigned = nearest;
+        }
+        changed
+    });
+    changed.reduce(|| false, |a, b| a | b)
+}
+
+/// The bitwise majority of each cluster, a tie setting the bit; an empty cluster keeps its centre.
+fn medians(run: &[Descriptor], assignment: &[u8], centres: &[[u8; 32]]) -> Vec<[u8; 32]> {
+    let chunks = run.par_chunks(CHUNK_DESCRIPTORS).zip(assignment.par_chunks(CHUNK_DESCRIPTORS));
+    let counted = chunks.fold(
+        || vec![BitCounts::default(); centres.len()],
+        |mut counts, (run, assignment)| {
+            for (descriptor, &cluster) in run.iter().zip(assignment) {
+                counts[usize::from(cluster)].add(&descriptor.0);
+            }
+            counts
+        },
+    );
+    let counts = counted.reduce_with(|mut all, counts| {
+        all.iter_mut().zip(&counts).for_each(|(all, counts)| all.merge(counts));
+        all
+    });
+    let medians = counts.into_iter().flatten().zip(centres);
+    medians.map(|(counts, &centre)| counts.majority().unwrap_or(centre)).collect()
+}
+
+/// How many of some bit strings have each bit set. Bits are first counted in bytes, many at a time, which
+/// are emptied before they overflow.
+#[derive(Clone, Default)]
+struct BitCounts {
+    /// `recent[bit][byte]`.
+    recent: [[u8; 32]; 8],
+    recent_strings: u8,
+    settled: [[u32; 32]; 8],
+    strings: u32,
+}
+
+impl BitCounts {
+    #[inline]
+    fn add(&mut self, string: &[u8; 32]) {
+        if self.recent_strings == u8::MAX {
+            self.settle();
+        }
+        for (bit, counts) in self.recent.iter_mut().enumerate() {
+            for (count, byte) in counts.iter_mut().zip(string) {
+                *count += byte >> bit & 1;
+            }
+        }
+        self.recent_strings += 1;
+    }
+
+    fn settle(&mut self) {
+        for (settled, recent) in self.settled.as_flattened_mut().iter_mut().zip(self.recent.as_flattened()) {
+            *settled += u32::from(*recent);
+        }
+        self.strings += u32::from(self.recent_strings);
+        self.recent = [[0; 32]; 8];
+        self.recent_strings = 0;
+    }
+
+    fn merge(&mut self, other: &Self) {
+        let mut other = other.clone();
+        other.settle();
+        for (mine, theirs) in self.settled.as_flattened_mut().iter_mut().zip(other.settled.as_flattened()) {
+            *mine += theirs;
+        }
+        self.strings += other.strings;
+    }
+
+    /// The bits that at least half of the strings have set; `None` of no string.
+    fn majority(mut self) -> Option<[u8; 32]> {
+        self.settle();
+        let needed = self.strings.div_ceil(2);
+        let byte = |index: usize| {
+            (0..8).fold(0, |byte, bit| byte | u8::from(self.settled[bit][index] >= needed) << bit)
+        };
+        (self.strings > 0).then(|| std::array::from_fn(byte))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use rand::{Rng, SeedableRng};
+
+    proptest! {
+        #[test]
+        fn a_median_is_never_farther_from_its_cluster_than_any_member(
+            run in proptest::collection::vec(any::<[u8; 32]>().prop_map(Descriptor), 1..12),
+        ) {
+            let median = Descriptor(medians(&run, &vec![0; run.len()], &[run[0].0])[0]);
+            let cost = |centre: &Descriptor| run.iter().map(|d| d.distance(centre)).sum::<u32>();
+            prop_assert!(run.iter().all(|member| cost(&median) <= cost(member)));
+        }
+
+        #[test]
+        fn a_split_keeps_every_descriptor_and_gives_each_its_nearest_centre(
+            descriptors in proptest::collection::vec(any::<[u8; 32]>().prop_map(Descriptor), 2..60),
+            k in 2..8_usize,
+        ) {
+            let mut run = descriptors.clone();
+            let clusters = split(&mut run, k, &mut Pcg64::seed_from_u64(1));
+            let mut start = 0;
+            for cluster in &clusters {
+                for descriptor in &run[start..start + cluster.size] {
+                    let nearest = clusters.iter().map(|c| descriptor.distance(&Descriptor(c.centre))).min();
+                    prop_assert_eq!(Some(descriptor.distance(&Descriptor(cluster.centre))), nearest);
+                }
+                start += cluster.size;
+            }
+            prop_assert_eq!(start, run.len());
+            let sorted = |mut v: Vec<Descriptor>| { v.sort_by_key(|d| d.0); v };
+            prop_assert_eq!(sorted(run), sorted(descriptors));
+        }
+
+        #[test]
+        fn a_median_has_the_bits_that_half_of_its_cluster_has(
+            seed in any::<u64>(), count in 1..700_usize, k in 1..4_u8,
+        ) {
+            let mut random = Pcg64::seed_from_u64(seed);
+            let run: Vec<Descriptor> = (0..count).map(|_| Descriptor(random.random())).collect();
+            let assignment: Vec<u8> = (0..count).map(|_| random.random_range(0..k)).collect();
+            let got = medians(&run, &assignment, &vec![[9; 32]; usize::from(k)]);
+            for cluster in 0..k {
+                let members: Vec<&Descriptor> =
+                    run.iter().zip(&assignment).filter(|pair| *pair.1 == cluster).map(|pair| pair.0).collect();
+                let expected = if members.is_empty() { [9; 32] } else {
+                    std::array::from_fn(|byte| (0..8).fold(0, |all, bit| {
+                        let ones = members.iter().filter(|member| member.0[byte] >> bit & 1 == 1).count();
+                        all | u8::from(2 * ones >= members.len()) << bit
+                    }))
+                };
+                prop_assert_eq!(got[usize::from(cluster)], expected);
+            }
+        }
+    }
+}
