@@ -16,11 +16,16 @@ pub fn nearest(string: &[u8; 32], others: &[[u8; 32]]) -> (u32, u32) {
     dispatch::nearest(string, others)
 }
 
-/// Distance and index in one number, so that the loop has no branch to be guessed wrong.
 #[inline(always)]
 fn nearest_by_count_ones(string: &[u8; 32], others: &[[u8; 32]]) -> (u32, u32) {
-    let keys = (0..).zip(others).map(|(index, other)| u64::from(hamming(string, other)) << 32 | index);
-    keys.min().map_or((0, u32::MAX), |key| (key as u32, (key >> 32) as u32))
+    let mut best = (0, u32::MAX);
+    for (index, other) in (0..).zip(others) {
+        let distance = hamming(string, other);
+        if distance < best.1 {
+            best = (index, distance);
+        }
+    }
+    best
 }
 
 /// The same loop for every processor: plain x86-64 has no instruction that counts bits, so the ones that have

@@ -12,7 +12,9 @@ use crate::kernel;
 /// only bounds one that goes back and forth between equally good answers.
 const MAX_ROUNDS: usize = 100;
 /// Descriptors that one task works on; smaller sets are not worth a second core.
-const CHUNK_DESCRIPTORS: usize = 4096;
+const CHUNK_DESCRIPTORS: usize = 16_384;
+/// The cluster of a descriptor that has none yet.
+const NOWHERE: u8 = u8::MAX;
 
 /// A cluster of a split: its centre and how many descriptors it took.
 #[derive(Debug)]
@@ -24,12 +26,18 @@ pub(super) struct Cluster {
 /// Splits `run` into at most `k` clusters and reorders it so that each is one run, in their order.
 pub(super) fn split(run: &mut [Descriptor], k: usize, random: &mut Pcg64) -> Vec<Cluster> {
     let mut centres = first_centres(run, k, random);
-    let mut assignment = vec![u8::MAX; run.len()];
+    let mut assignment = vec![NOWHERE; run.len()];
+    let mut members = vec![BitCounts::default(); centres.len()];
+    let chunks = run.len().div_ceil(CHUNK_DESCRIPTORS);
+    let mut moves = vec![vec![Moves::default(); centres.len()]; chunks];
     for _ in 0..MAX_ROUNDS {
-        if !assign(run, &centres, &mut assignment) {
+        if !assign(run, &centres, &mut assignment, &mut moves) {
             break;
         }
-        centres = medians(run, &assignment, &centres);
+        for moves in &mut moves {
+            members.iter_mut().zip(moves).for_each(|(members, moves)| members.follow(moves));
+        }
+        centres = medians(&members, &centres);
     }
     let sizes = sort_by_cluster(run, &assignment, centres.len());
     let clusters = centres.into_iter().zip(sizes).map(|(centre, size)| Cluster { centre, size });
@@ -86,39 +94,39 @@ fn approach(nearest: &mut [u32], run: &[Descriptor], centre: &[u8; 32]) -> u64 {
     total
 }
 
-/// Gives every descriptor its nearest centre, the first of equally near ones; whether any changed.
-fn assign(run: &[Descriptor], centres: &[[u8; 32]], assignment: &mut [u8]) -> bool {
+/// Gives every descriptor its nearest centre, the first of equally near ones; whether any moved. Each chunk
+/// notes its `moves`.
+fn assign(run: &[Descriptor], centres: &[[u8; 32]], assignment: &mut [u8], moves: &mut [Vec<Moves>]) -> bool {
     let chunks = assignment.par_chunks_mut(CHUNK_DESCRIPTORS).zip(run.par_chunks(CHUNK_DESCRIPTORS));
-    let changed = chunks.map(|(assignment, run)| {
-        let mut changed = false;
+    let moved = chunks.zip(moves).map(|((assignment, run), moves)| {
+        let mut any = false;
         for (assigned, descriptor) in assignment.iter_mut().zip(run) {
             let nearest = kernel::nearest(&descriptor.0, centres).0 as u8;
-            changed |= nearest != *assigned;
+            if nearest == *assigned {
+                continue;
+            }
+            any = true;
+            if *assigned != NOWHERE {
+                moves[usize::from(*assigned)].lost.add(&descriptor.0);
+            }
+            moves[usize::from(nearest)].gained.add(&descriptor.0);
             *assigned = nearest;
         }
-        changed
+        any
     });
-    changed.reduce(|| false, |a, b| a | b)
+    moved.reduce(|| false, |a, b| a | b)
 }
 
 /// The bitwise majority of each cluster, a tie setting the bit; an empty cluster keeps its centre.
-fn medians(run: &[Descriptor], assignment: &[u8], centres: &[[u8; 32]]) -> Vec<[u8; 32]> {
-    let chunks = run.par_chunks(CHUNK_DESCRIPTORS).zip(assignment.par_chunks(CHUNK_DESCRIPTORS));
-    let counted = chunks.fold(
-        || vec![BitCounts::default(); centres.len()],
-        |mut counts, (run, assignment)| {
-            for (descriptor, &cluster) in run.iter().zip(assignment) {
-                counts[usize::from(cluster)].add(&descriptor.0);
-            }
-            counts
-        },
-    );
-    let counts = counted.reduce_with(|mut all, counts| {
-        all.iter_mut().zip(&counts).for_each(|(all, counts)| all.merge(counts));
-        all
-    });
-    let medians = counts.into_iter().flatten().zip(centres);
-    medians.map(|(counts, &centre)| counts.majority().unwrap_or(centre)).collect()
+fn medians(members: &[BitCounts], centres: &[[u8; 32]]) -> Vec<[u8; 32]> {
+    members.iter().zip(centres).map(|(members, &centre)| members.majority().unwrap_or(centre)).collect()
+}
+
+/// The descriptors that a cluster gained and lost in a round: late in a split they are few.
+#[derive(Clone, Default)]
+struct Moves {
+    gained: BitCounts,
+    lost: BitCounts,
 }
 
 /// How many of some bit strings have each bit set. Bits are first counted in bytes, many at a time, which
@@ -155,18 +163,26 @@ impl BitCounts {
         self.recent_strings = 0;
     }
 
-    fn merge(&mut self, other: &Self) {
-        let mut other = other.clone();
-        other.settle();
-        for (mine, theirs) in self.settled.as_flattened_mut().iter_mut().zip(other.settled.as_flattened()) {
-            *mine += theirs;
-        }
-        self.strings += other.strings;
+    /// Takes in what was gained and lets go what was lost; empties `moves`.
+    fn follow(&mut self, moves: &mut Moves) {
+        let Moves { gained, lost } = moves;
+        self.change_by(gained, |mine, theirs| mine + theirs);
+        self.change_by(lost, |mine, theirs| mine - theirs);
     }
 
-    /// The bits that at least half of the strings have set; `None` of no string.
-    fn majority(mut self) -> Option<[u8; 32]> {
-        self.settle();
+    fn change_by(&mut self, counts: &mut Self, change: impl Fn(u32, u32) -> u32) {
+        if counts.recent_strings == 0 {
+            return;
+        }
+        counts.settle();
+        let pairs = self.settled.as_flattened_mut().iter_mut().zip(counts.settled.as_flattened());
+        pairs.for_each(|(mine, theirs)| *mine = change(*mine, *theirs));
+        self.strings = change(self.strings, counts.strings);
+        *counts = Self::default();
+    }
+
+    /// The bits that at least half of the settled strings have set; `None` of no string.
+    fn majority(&self) -> Option<[u8; 32]> {
         let needed = self.strings.div_ceil(2);
         let byte = |index: usize| {
             (0..8).fold(0, |byte, bit| byte | u8::from(self.settled[bit][index] >= needed) << bit)
@@ -186,7 +202,10 @@ mod tests {
         fn a_median_is_never_farther_from_its_cluster_than_any_member(
             run in proptest::collection::vec(any::<[u8; 32]>().prop_map(Descriptor), 1..12),
         ) {
-            let median = Descriptor(medians(&run, &vec![0; run.len()], &[run[0].0])[0]);
+            let mut counts = BitCounts::default();
+            run.iter().for_each(|descriptor| counts.add(&descriptor.0));
+            counts.settle();
+            let median = Descriptor(counts.majority().unwrap());
             let cost = |centre: &Descriptor| run.iter().map(|d| d.distance(centre)).sum::<u32>();
             prop_assert!(run.iter().all(|member| cost(&median) <= cost(member)));
         }
@@ -213,22 +232,28 @@ mod tests {
 
         #[test]
         fn a_median_has_the_bits_that_half_of_its_cluster_has(
-            seed in any::<u64>(), count in 1..700_usize, k in 1..4_u8,
+            seed in any::<u64>(), count in 1..700_usize, rounds in 1..4_usize,
         ) {
             let mut random = Pcg64::seed_from_u64(seed);
             let run: Vec<Descriptor> = (0..count).map(|_| Descriptor(random.random())).collect();
-            let assignment: Vec<u8> = (0..count).map(|_| random.random_range(0..k)).collect();
-            let got = medians(&run, &assignment, &vec![[9; 32]; usize::from(k)]);
-            for cluster in 0..k {
-                let members: Vec<&Descriptor> =
-                    run.iter().zip(&assignment).filter(|pair| *pair.1 == cluster).map(|pair| pair.0).collect();
-                let expected = if members.is_empty() { [9; 32] } else {
+            let mut assignment = vec![NOWHERE; count];
+            let mut members = vec![BitCounts::default(); 3];
+            for _ in 0..rounds {
+                let centres: Vec<[u8; 32]> = (0..3).map(|_| random.random()).collect();
+                let mut moves = vec![vec![Moves::default(); 3]];
+                assign(&run, &centres, &mut assignment, &mut moves);
+                members.iter_mut().zip(&mut moves[0]).for_each(|(members, moves)| members.follow(moves));
+            }
+            for (cluster, median) in medians(&members, &[[9; 32]; 3]).into_iter().enumerate() {
+                let of_cluster = run.iter().zip(&assignment).filter(|pair| usize::from(*pair.1) == cluster);
+                let strings: Vec<&Descriptor> = of_cluster.map(|pair| pair.0).collect();
+                let expected = if strings.is_empty() { [9; 32] } else {
                     std::array::from_fn(|byte| (0..8).fold(0, |all, bit| {
-                        let ones = members.iter().filter(|member| member.0[byte] >> bit & 1 == 1).count();
-                        all | u8::from(2 * ones >= members.len()) << bit
+                        let ones = strings.iter().filter(|string| string.0[byte] >> bit & 1 == 1).count();
+                        all | u8::from(2 * ones >= strings.len()) << bit
                     }))
                 };
-                prop_assert_eq!(got[usize::from(cluster)], expected);
+                prop_assert_eq!(median, expected);
             }
         }
     }
