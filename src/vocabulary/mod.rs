@@ -82,6 +82,14 @@ pub enum VocabularyError {
         /// The file.
         path: PathBuf,
     },
+    /// The file is one that can be imported, but was not.
+    #[error("{} is a {format}: turn it into a .lvoc file with `loci vocab import`", path.display())]
+    NotImported {
+        /// The file.
+        path: PathBuf,
+        /// What it begins as.
+        format: &'static str,
+    },
     /// A foreign file does not hold what its kind says.
     #[error("{} is a damaged {format}: at {place}: {reason}", path.display())]
     Malformed {

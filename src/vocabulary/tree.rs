@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::format::{self, Counts, KIND, Link, MAX_DEPTH, Tables};
+use super::import::VocabularyFormat;
 use super::{NodeId, VocabularyError, Weighting, WordId, version_1};
 use crate::feature::Descriptor;
 use crate::kernel;
@@ -13,6 +14,9 @@ const DIRECT_INDEX_LEVEL: u32 = 2;
 
 /// Largest weight that is believed; ln(N / Nᵢ) of a billion images is 21.
 const MAX_WEIGHT: f64 = 1e6;
+
+/// Bytes by which a foreign format is told.
+const FORMAT_BYTES: usize = 64;
 
 /// What the tree says of a descriptor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +56,11 @@ impl Vocabulary {
     }
 
     fn check(mut bytes: FileBytes, path: &Path) -> Result<Self, VocabularyError> {
+        if let Some(format) = VocabularyFormat::of(&bytes[..bytes.len().min(FORMAT_BYTES)])
+            && format != VocabularyFormat::Loci
+        {
+            return Err(VocabularyError::NotImported { path: path.to_owned(), format: format.as_str() });
+        }
         let (version, body) = KIND.body(&bytes, path)?;
         if version < KIND.version {
             KIND.verify(&bytes, path)?;

@@ -91,7 +91,7 @@ fn a_vocabulary_of_the_wrong_kind_is_named() {
         ("empty.lvoc", b"", "the file is empty"),
         ("cut.lvoc", &good[..good.len() / 2], "is damaged"),
         ("newer.lvoc", &newer, "update Loci"),
-        ("text.lvoc", b"10 6 0 0\n", "shorter than its header"),
+        ("short.lvoc", b"LOCIVOC", "shorter than its header"),
     ];
     for (name, bytes, message) in wrong {
         let folder = folder_with(&[(name, bytes)]);
@@ -102,6 +102,30 @@ fn a_vocabulary_of_the_wrong_kind_is_named() {
     }
     let folder = folder_with(&[]);
     loci(&["vocab", "info", text(folder.path())]).assert_failed(1, &["not a regular file"]);
+}
+
+#[test]
+fn a_vocabulary_of_another_library_is_named_with_the_command_that_imports_it() {
+    let folder = folder_with(&[("ORBvoc.txt", b"10 6 0 0\n")]);
+    let path = folder.path().join("ORBvoc.txt");
+    loci(&["vocab", "info", text(&path)])
+        .assert_failed(1, &["ORBvoc.txt", "ORB-SLAM text vocabulary", "`loci vocab import`"]);
+    let out = folder.path().join("out.lvoc");
+    loci(&["vocab", "import", text(&path), "--out", text(&out)]).assert_failed(1, &["it holds no tree"]);
+    assert!(!out.exists());
+}
+
+#[test]
+fn a_training_does_not_go_on_with_the_file_of_another_one() {
+    let folder = folder_with(&[]);
+    let out = folder.path().join("v.lvoc");
+    let train = |frames: &str| loci(&["vocab", "train", frames, "--depth", "2", "--out", text(&out)]);
+    drop(
+        loci::vocabulary::TrainingFile::open(&folder.path().join("v.lvoc.training"), "other photos").unwrap(),
+    );
+    train("synthetic:street?laps=1&frames=2")
+        .assert_failed(1, &["v.lvoc.training is of other images: delete it"]);
+    assert!(!out.exists());
 }
 
 #[test]

@@ -10,18 +10,19 @@ fn commands_that_are_not_built_say_so_and_fail() {
         let message = format!("`loci {command}` is not built yet");
         loci(&[command, "--with", "anything"]).assert_failed(1, &[&message]);
     }
-    for arguments in [["map", "verify"], ["map", "rename"], ["vocab", "import"], ["vocab", "bench"]] {
+    for arguments in [["map", "verify"], ["map", "rename"], ["vocab", "bench"]] {
         loci(&arguments).assert_failed(1, &["is not built yet"]);
     }
 }
 
 #[test]
 fn help_of_every_built_command_shows_an_example() {
-    let commands: [&[&str]; 7] = [
+    let commands: [&[&str]; 8] = [
         &["run"],
         &["demo"],
         &["evaluate"],
         &["vocab", "train"],
+        &["vocab", "import"],
         &["vocab", "info"],
         &["map", "info"],
         &["doctor"],
@@ -65,11 +66,33 @@ fn a_vocabulary_is_trained_and_described() {
         loci(&["vocab", "train", world, "--branching", "6", "--depth", "3", "--out", text(&path), "--json"]);
     assert_eq!(trained.code, 0, "{}", trained.stderr);
     let info = &loci(&["vocab", "info", text(&path), "--verify", "--json"]).records()[0];
-    assert_eq!(info, &trained.records()[0]);
+    let trained = &trained.records()[0];
+    for (key, value) in info.as_object().unwrap() {
+        assert_eq!(&trained[key], value, "{key}");
+    }
+    let distortion = trained["mean_distortion_bits"].as_f64().unwrap();
+    assert!((5.0..80.0).contains(&distortion), "{distortion}");
+    assert_eq!(trained["descriptors"], trained["sampled_descriptors"]);
+    let occupancy = trained["descriptors"].as_f64().unwrap() / trained["words"].as_f64().unwrap();
+    assert!((trained["mean_occupancy"].as_f64().unwrap() - occupancy).abs() < 1e-9);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
     assert_eq!((&info["branching"], &info["depth"], &info["images"]), (&6.into(), &3.into(), &5.into()));
     assert!((100..=216).contains(&info["words"].as_u64().unwrap()), "{info}");
     let run = loci(&["run", world, "--vocab", text(&path), "--json"]);
     assert_eq!(run.records().len(), 5);
+}
+
+#[test]
+fn a_vocabulary_of_dbow2_is_imported_and_used() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("orb.lvoc");
+    let imported = loci(&["vocab", "import", "tests/data/vocabulary/orb_k8_l3.yml.gz", "--out", text(&path)]);
+    assert_eq!(imported.code, 0, "{}", imported.stderr);
+    for part in ["DBoW2 YAML vocabulary", "branching 8, depth 3", "512, 2 of them without weight; tf-idf"] {
+        assert!(imported.stdout.contains(part), "no '{part}' in: {}", imported.stdout);
+    }
+    let run = loci(&["run", "synthetic:street?laps=1&frames=3", "--vocab", text(&path), "--json"]);
+    assert_eq!(run.records().len(), 3);
 }
 
 #[test]

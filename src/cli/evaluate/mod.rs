@@ -93,9 +93,9 @@ fn evaluate(
     let threads = settings.threads.map_or(1, NonZero::get);
     let backend = match runtime {
         Some(version) => {
-            format!("ONNX Runtime {version} on the CPU, threads: {threads}; kernels in scalar Rust")
+            format!("ONNX Runtime {version} on the CPU, threads: {threads}; kernels in plain Rust")
         }
-        None => "no CNN; kernels in scalar Rust".to_owned(),
+        None => "no CNN; kernels in plain Rust".to_owned(),
     };
     let header = header::header(&eyes, &options, (&vocabulary_path, suite), backend)?;
     let progress = Progress { bar: progress_bar(None, "frames", ProgressDrawTarget::stderr()) };

@@ -49,7 +49,7 @@ impl VocabularyFormat {
     }
 
     /// The format that a file begins as.
-    fn of(beginning: &[u8]) -> Option<Self> {
+    pub(super) fn of(beginning: &[u8]) -> Option<Self> {
         let begins_with = |magic: &[u8]| beginning.starts_with(magic);
         let text = beginning.trim_ascii_start();
         if begins_with(b"LOCIVOC\0") {
@@ -61,7 +61,7 @@ impl VocabularyFormat {
         } else if text.starts_with(b"%YAML") || text.starts_with(b"vocabulary:") {
             Some(Self::Dbow2Yaml)
         } else {
-            text.first().is_some_and(u8::is_ascii_digit).then_some(Self::OrbSlamText)
+            orb_slam::begins(text).then_some(Self::OrbSlamText)
         }
     }
 }

@@ -7,6 +7,12 @@ use super::Fault;
 use super::foreign_tree::{ForeignNode, ForeignTree, Parameters};
 use super::lines::{Lines, descriptor, number};
 
+/// Whether a text begins with a line of four numbers.
+pub(super) fn begins(text: &[u8]) -> bool {
+    let line = text.split(|&byte| byte == b'\n').next().and_then(|line| str::from_utf8(line).ok());
+    line.is_some_and(|line| parameters(line).is_ok())
+}
+
 pub(super) fn read(text: impl BufRead) -> Result<ForeignTree, Fault> {
     let mut lines = Lines::new(text);
     let head = lines.next()?.unwrap_or_default();
