@@ -4,7 +4,7 @@ CARGO ?= cargo
 # Cameras need libclang to build, so plain cargo leaves them out and every target here puts them in.
 FEATURES ?= v4l
 
-.PHONY: help demo test test-data benchmarks lint bench deps system-deps test-deps
+.PHONY: help demo test test-data test-large benchmarks lint bench deps system-deps test-deps
 
 help: ## What can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -18,6 +18,9 @@ test: deps test-deps ## All tests that need no data from outside
 
 test-data: deps ## Tests on real sequences, found by LOCI_DATA
 	$(CARGO) test --release --features $(FEATURES) --test behaviour -- --ignored --nocapture real_
+
+test-large: ## A training from a hundred million descriptors, its memory measured: minutes, and 3.3 GB of disk
+	$(CARGO) test --release --no-default-features --test large_training -- --ignored --nocapture
 
 benchmarks: deps ## Evaluate the suite on the data at LOCI_DATA and write BENCHMARKS.md
 	$(CARGO) run --release --features $(FEATURES) -- evaluate --suite

@@ -55,7 +55,7 @@ fn use_of_a_large_one(criterion: &mut Criterion, images: &[Vec<Descriptor>], pat
     });
     println!("private memory of the open vocabulary: {} KiB", private_kib().saturating_sub(before));
 
-    criterion.bench_function("vocabulary/open_to_first_query", |bencher| {
+    criterion.bench_function("large_vocabulary/open_to_first_query", |bencher| {
         bencher.iter(|| {
             let vocabulary = Vocabulary::open(black_box(path)).expect("the vocabulary just saved");
             vocabulary.quantise(&images[0][0])
@@ -63,7 +63,7 @@ fn use_of_a_large_one(criterion: &mut Criterion, images: &[Vec<Descriptor>], pat
     });
     let thousands: Vec<Vec<Descriptor>> = images.iter().filter(|i| i.len() >= 1000).cloned().collect();
     let mut next = thousands.iter().cycle();
-    criterion.bench_function("vocabulary/bow_of_1000", |bencher| {
+    criterion.bench_function("large_vocabulary/bow_of_1000", |bencher| {
         bencher.iter(|| {
             let Some(image) = next.next() else { return BowVector::default() };
             let words = vocabulary.quantise_all(&image[..1000]).into_iter().map(|quantised| quantised.word);
@@ -79,9 +79,9 @@ fn training(criterion: &mut Criterion, images: &[Vec<Descriptor>]) {
     let options = TrainingOptions { depth: 4, ..TrainingOptions::default() };
     let train = || train_on(&MemoryCorpus(&sample), options, &|_| {}).expect("a vocabulary");
     println!("k 10, L 4 of 200,000 descriptors: distortion {:.2} bits", train().mean_distortion_bits);
-    let mut group = criterion.benchmark_group("vocabulary");
+    let mut group = criterion.benchmark_group("vocabulary_training");
     group.sample_size(10).measurement_time(Duration::from_secs(20));
-    group.bench_function("train_200k_k10_l4", |bencher| bencher.iter(train));
+    group.bench_function("200k_k10_l4", |bencher| bencher.iter(train));
     group.finish();
 }
 
