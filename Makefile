@@ -1,10 +1,13 @@
 # Everything a newcomer needs: `make demo` and `make test`. Both install what is missing and say so.
 
 CARGO ?= cargo
+# Seconds of processor time for each fuzzed reader, and which readers; all, if none is named.
+FUZZ_SECONDS ?= 600
+FUZZ_TARGETS ?=
 # Cameras need libclang to build, so plain cargo leaves them out and every target here puts them in.
 FEATURES ?= v4l
 
-.PHONY: help demo test test-data test-large benchmarks lint bench deps system-deps test-deps
+.PHONY: help demo test test-data test-large benchmarks lint bench fuzz deps system-deps test-deps fuzz-deps
 
 help: ## What can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -34,6 +37,9 @@ lint: ## Formatting, clippy, licences and advisories, documentation
 bench: ## Criterion benches of the stages
 	$(CARGO) bench --no-default-features
 
+fuzz: fuzz-deps ## Made-up bytes for every reader, FUZZ_SECONDS each; see fuzz/README.md
+	FUZZ_SECONDS=$(FUZZ_SECONDS) fuzz/run.sh $(FUZZ_TARGETS)
+
 deps: system-deps ## ONNX Runtime and what the build needs
 	@deploy/fetch-onnxruntime.sh
 
@@ -42,3 +48,7 @@ test-deps: ## Debian or Ubuntu packages that the tests need: ffmpeg makes and re
 
 system-deps: ## Debian or Ubuntu packages that are missing
 	@deploy/install-packages.sh libclang-dev python3 python3-pip
+
+fuzz-deps: ## cargo-fuzz and the C++ compiler that libFuzzer needs
+	@deploy/install-packages.sh g++
+	@command -v cargo-fuzz >/dev/null || $(CARGO) install cargo-fuzz --locked --version 0.13.2

@@ -4,7 +4,7 @@ use std::env;
 use std::path::{Path, PathBuf};
 
 /// The shipped vocabulary, seen from a root.
-pub(super) const VOCABULARY: &str = "vocab/default.lvoc";
+const VOCABULARY: &str = "vocab/default.lvoc";
 /// The shipped model, seen from a root.
 pub(super) const MODEL: &str = "models/efficientnet-lite0";
 
@@ -20,6 +20,14 @@ pub(super) fn find(named: Option<&Path>, shipped: &str, flag: &str) -> anyhow::R
     found.ok_or_else(|| {
         anyhow::anyhow!("{shipped} not found here nor beside the program; name it with {flag}")
     })
+}
+
+/// `named`, or the shipped vocabulary alone.
+///
+/// # Errors
+/// As [`find`].
+pub(super) fn find_vocabularies(named: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    if named.is_empty() { Ok(vec![find(None, VOCABULARY, "--vocab")?]) } else { Ok(named.to_vec()) }
 }
 
 /// The working folder; the program's folder and those above it, as in a build tree or an unpacked

@@ -6,7 +6,7 @@ use clap::Args;
 use loci::cnn::{DescriptorModel, OnnxRuntime};
 use loci::place_map::PlaceMap;
 use loci::raster::RgbImage;
-use loci::vocabulary::Vocabulary;
+use loci::vocabulary::{Vocabulary, VocabularySet};
 use serde::Serialize;
 
 use super::settings::StreamSettings;
@@ -89,10 +89,15 @@ fn findings(settings: &StreamSettings) -> Vec<Finding> {
 }
 
 fn vocabulary(settings: &StreamSettings) -> anyhow::Result<String> {
-    let path = assets::find(settings.vocab.as_deref(), assets::VOCABULARY, "--vocab")?;
-    let vocabulary = Vocabulary::open(&path)?;
-    vocabulary.verify(&path)?;
-    Ok(format!("{} words in {}", vocabulary.word_count(), path.display()))
+    let paths = assets::find_vocabularies(&settings.vocab)?;
+    let mut found = Vec::new();
+    for path in &paths {
+        let vocabulary = Vocabulary::open(path)?;
+        vocabulary.verify(path)?;
+        found.push(format!("{} words in {}", vocabulary.word_count(), path.display()));
+    }
+    VocabularySet::open(&paths)?;
+    Ok(found.join("; "))
 }
 
 /// Opens the model and asks it for a descriptor.

@@ -19,9 +19,9 @@ pub(super) struct StreamSettings {
     /// Folder of the map; made if need be. Without it the map is gone at the end
     #[arg(long, env = "LOCI_MAP", value_name = "DIR")]
     pub(super) map: Option<PathBuf>,
-    /// Visual vocabulary [default: vocab/default.lvoc]
-    #[arg(long, env = "LOCI_VOCAB", value_name = "FILE")]
-    pub(super) vocab: Option<PathBuf>,
+    /// Visual vocabulary; given again, a set that is switched by light [default: vocab/default.lvoc]
+    #[arg(long, env = "LOCI_VOCAB", value_name = "FILE", value_delimiter = ',')]
+    pub(super) vocab: Vec<PathBuf>,
     /// Folder of the CNN with its card [default: models/efficientnet-lite0]
     #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]
     pub(super) model: Option<PathBuf>,
@@ -60,7 +60,7 @@ impl StreamSettings {
     fn or(self, other: Self) -> Self {
         Self {
             map: self.map.or(other.map),
-            vocab: self.vocab.or(other.vocab),
+            vocab: if self.vocab.is_empty() { other.vocab } else { self.vocab },
             model: self.model.or(other.model),
             onnxruntime: self.onnxruntime.or(other.onnxruntime),
             sample_interval: self.sample_interval.or(other.sample_interval),

@@ -10,7 +10,7 @@ use loci::place_map::PlaceMap;
 use loci::recognition::{Recogniser, RecognitionOptions};
 use loci::source;
 use loci::telemetry::RecognitionSink;
-use loci::vocabulary::Vocabulary;
+use loci::vocabulary::VocabularySet;
 
 use super::settings::StreamSettings;
 use super::{WrongArgument, assets};
@@ -24,8 +24,7 @@ pub(super) fn pipeline(
     let rerun = rerun_target(settings.rerun.as_deref())?;
     let sample_interval = settings.sample_interval.map(|interval| u64::from(interval.get()));
     let source = source::open(source, sample_interval)?;
-    let vocabulary =
-        Vocabulary::open(&assets::find(settings.vocab.as_deref(), assets::VOCABULARY, "--vocab")?)?;
+    let vocabularies = VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?;
     let model = open_cnn(settings)?.map(|(model, _)| model);
     let options = recognition_options(settings);
     let map = match (&settings.map, options.read_only) {
@@ -36,7 +35,7 @@ pub(super) fn pipeline(
     };
     report_condition(&map, model.as_ref().map(DescriptorModel::card));
     let card = model.as_ref().map(|model| model.card().clone());
-    let recogniser = Recogniser::new(Arc::new(vocabulary), map, card, options);
+    let recogniser = Recogniser::new(Arc::new(vocabularies), map, card, options);
     // Last, so that a run that cannot start replaces no recording and opens no viewer.
     sinks.extend(rerun_sink(&rerun)?);
     Ok(Pipeline { source, extractor: OrbExtractor::new(OrbOptions::default()), model, recogniser, sinks })
@@ -69,13 +68,13 @@ fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<(DescriptorModel
 /// What looks at frames for an evaluation, with the version of the ONNX Runtime that it uses.
 #[cfg(feature = "evaluation")]
 pub(super) fn eyes(
-    vocabulary: &std::path::Path,
+    vocabularies: &[std::path::PathBuf],
     settings: &StreamSettings,
 ) -> anyhow::Result<(loci::evaluation::Eyes, Option<RuntimeVersion>)> {
-    let vocabulary = Arc::new(Vocabulary::open(vocabulary)?);
+    let vocabularies = Arc::new(VocabularySet::open(vocabularies)?);
     let (model, version) = open_cnn(settings)?.unzip();
     let extractor = OrbExtractor::new(OrbOptions::default());
-    Ok((loci::evaluation::Eyes { extractor, vocabulary, model }, version))
+    Ok((loci::evaluation::Eyes { extractor, vocabularies, model }, version))
 }
 
 /// Says what a user would want to know of a map before a run.

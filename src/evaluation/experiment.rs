@@ -206,7 +206,7 @@ impl<'a> Evaluator<'a> {
         methods: &[Method],
     ) -> Result<Vec<Answers>, EvaluationError> {
         let card = self.eyes.model.as_ref().map(|model| model.card());
-        let mut database = FrameDatabase::new(scene.reference, &self.eyes.vocabulary, card, &self.options);
+        let mut database = FrameDatabase::new(scene.reference, &self.eyes.vocabularies, card, &self.options);
         let answers = |method: &Method| Answers {
             method: *method,
             database: Database::Frames,
@@ -256,7 +256,9 @@ impl<'a> Evaluator<'a> {
             score.figures.places_founded = Some(answers.places.len() as u64);
             score.figures.true_places = scene.true_places();
         }
-        let mistakes = || worst::mistakes(scene, answers, &judged, &self.options.verification);
+        let mistakes = || {
+            worst::mistakes(scene, answers, &judged, (&self.eyes.vocabularies, &self.options.verification))
+        };
         MethodResult {
             method: answers.method,
             database: answers.database,

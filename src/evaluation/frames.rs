@@ -4,6 +4,8 @@
 //! inliers; together they decide as `loci run` does: what the CNN accepts, else what geometry accepts,
 //! else nothing, and the likeliest of both comes first.
 
+use std::borrow::Cow;
+
 use super::answer::{Answer, Candidate, MAX_CANDIDATES};
 use super::results::Method;
 use super::traverse::{Observation, Traverse};
@@ -11,24 +13,45 @@ use crate::cnn::ModelCard;
 use crate::recognition::{Evidence, RecognitionOptions, doubt, inlier_probability};
 use crate::retrieval::{BowVector, InvertedIndex};
 use crate::verification::{MatchingView, Verification, VerificationOptions, verify};
-use crate::vocabulary::Vocabulary;
+use crate::vocabulary::{ConditionId, Quantised, VocabularySet};
 
 /// All frames of a traverse, ready to be searched.
 pub struct FrameDatabase<'a> {
     reference: &'a Traverse,
-    vocabulary: &'a Vocabulary,
+    vocabularies: &'a VocabularySet,
     model: Option<&'a ModelCard>,
     options: &'a RecognitionOptions,
-    index: InvertedIndex,
+    /// One a condition, with every reference frame under the words of that condition.
+    indices: Vec<InvertedIndex>,
 }
 
-/// The geometry between a query frame and a reference frame.
+/// The geometry between a query frame and a reference frame, by the vocabulary of the query's light.
 #[must_use]
-pub fn geometry(query: &Observation, reference: &Observation, options: &VerificationOptions) -> Verification {
-    fn view(seen: &Observation) -> MatchingView<'_> {
-        MatchingView { features: &seen.look.features, groups: &seen.groups }
+pub fn geometry(
+    query: &Observation,
+    reference: &Observation,
+    (vocabularies, options): (&VocabularySet, &VerificationOptions),
+) -> Verification {
+    let groups = |seen: &Observation| -> Vec<u32> {
+        let quantised = quantised(seen, query.look.light.condition, vocabularies);
+        quantised.iter().map(|quantised| quantised.node.0).collect()
+    };
+    let (query_groups, reference_groups) = (groups(query), groups(reference));
+    let query = MatchingView { features: &query.look.features, groups: &query_groups };
+    let reference = MatchingView { features: &reference.look.features, groups: &reference_groups };
+    verify(query, reference, options)
+}
+
+/// What the vocabulary of `condition` says of each feature.
+fn quantised<'a>(
+    seen: &'a Observation,
+    condition: ConditionId,
+    vocabularies: &VocabularySet,
+) -> Cow<'a, [Quantised]> {
+    if seen.look.light.condition == condition {
+        return Cow::Borrowed(&seen.look.quantised);
     }
-    verify(view(query), view(reference), options)
+    Cow::Owned(vocabularies.vocabulary(condition).quantise_all(&seen.look.features.descriptors))
 }
 
 impl<'a> FrameDatabase<'a> {
@@ -36,15 +59,19 @@ impl<'a> FrameDatabase<'a> {
     #[must_use]
     pub fn new(
         reference: &'a Traverse,
-        vocabulary: &'a Vocabulary,
+        vocabularies: &'a VocabularySet,
         model: Option<&'a ModelCard>,
         options: &'a RecognitionOptions,
     ) -> Self {
-        let mut index = InvertedIndex::default();
-        for observation in &reference.observations {
-            index.add(&bow(observation, vocabulary));
-        }
-        Self { reference, vocabulary, model, options, index }
+        let index = |condition| {
+            let mut index = InvertedIndex::default();
+            for observation in &reference.observations {
+                index.add(&bow(observation, condition, vocabularies));
+            }
+            index
+        };
+        let indices = vocabularies.conditions().map(index).collect();
+        Self { reference, vocabularies, model, options, indices }
     }
 
     /// What each of `methods` finds for `query` among the first `horizon` reference frames.
@@ -87,14 +114,16 @@ impl<'a> FrameDatabase<'a> {
     }
 
     fn by_bow_hv(&mut self, query: &Observation, horizon: usize) -> Answer {
-        let bow = bow(query, self.vocabulary);
-        let retrieved = self.index.query(&bow, |document| (document.0 as usize) < horizon);
+        let condition = query.look.light.condition;
+        let bow = bow(query, condition, self.vocabularies);
+        let retrieved =
+            self.indices[usize::from(condition.0)].query(&bow, |document| (document.0 as usize) < horizon);
         let mut found: Vec<(u32, f32, usize)> = retrieved
             .iter()
             .map(|retrieved| {
                 let reference = retrieved.document.0 as usize;
                 let known = &self.reference.observations[reference];
-                let verification = geometry(query, known, &self.options.verification);
+                let verification = geometry(query, known, (self.vocabularies, &self.options.verification));
                 (verification.effective_inliers, retrieved.score, reference)
             })
             .collect();
@@ -112,8 +141,9 @@ impl<'a> FrameDatabase<'a> {
     }
 }
 
-fn bow(observation: &Observation, vocabulary: &Vocabulary) -> BowVector {
-    BowVector::new(observation.look.quantised.iter().map(|quantised| quantised.word), vocabulary)
+fn bow(observation: &Observation, condition: ConditionId, vocabularies: &VocabularySet) -> BowVector {
+    let quantised = quantised(observation, condition, vocabularies);
+    BowVector::new(quantised.iter().map(|q| q.word), vocabularies.vocabulary(condition))
 }
 
 /// The answer of one kind of evidence, whose best candidate is also the likeliest.

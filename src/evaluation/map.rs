@@ -113,7 +113,7 @@ impl<'a> Robot<'a> {
 
 fn recogniser(method: Method, eyes: &Eyes, map: PlaceMap, options: RecognitionOptions) -> Recogniser {
     let model = eyes.model.as_ref().filter(|_| method != Method::BowHv).map(|model| model.card().clone());
-    Recogniser::new(Arc::clone(&eyes.vocabulary), map, model, options)
+    Recogniser::new(Arc::clone(&eyes.vocabularies), map, model, options)
 }
 
 fn reason(candidate: &recognition::Candidate) -> String {

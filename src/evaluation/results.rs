@@ -46,8 +46,8 @@ pub struct Header {
     pub cpu_threads: usize,
     /// What runs the CNN and the kernels.
     pub backend: String,
-    /// The visual vocabulary.
-    pub vocabulary: Asset,
+    /// The visual vocabularies; more than one are switched by light.
+    pub vocabularies: Vec<Asset>,
     /// The CNN, if one ran.
     pub model: Option<Asset>,
     /// The suite that says what is asked, if it was not asked for in arguments.

@@ -20,14 +20,14 @@ use crate::source::{
     self, Address, DirectorySource, FrameSource, SourceError, VideoSource, image_files, is_image,
     thumbnail_jpeg,
 };
-use crate::vocabulary::Vocabulary;
+use crate::vocabulary::VocabularySet;
 
 /// What looks at the frames.
 pub struct Eyes {
     /// Finds features.
     pub extractor: OrbExtractor,
-    /// Knows their words.
-    pub vocabulary: Arc<Vocabulary>,
+    /// Knows their words, in every light.
+    pub vocabularies: Arc<VocabularySet>,
     /// The CNN, if there is one.
     pub model: Option<DescriptorModel>,
 }
@@ -229,7 +229,7 @@ impl TraversePlan {
         let spans_folders = self.spans_folders();
         let perception = Perception {
             extractor: &eyes.extractor,
-            vocabulary: &eyes.vocabulary,
+            vocabularies: &eyes.vocabularies,
             model: eyes.model.as_mut(),
         };
         let skipped = perception.run(self.source()?, stop, watcher, |seen| {
@@ -266,7 +266,6 @@ impl TraversePlan {
             position_metres: frame.pose.map(|pose| [pose.position_metres[0], pose.position_metres[1]]),
             true_place: frame.true_place,
             size_px: (frame.colour.width() as u32, frame.colour.height() as u32),
-            groups: look.quantised.iter().map(|quantised| quantised.node.0).collect(),
             picture_jpeg: if keeps_picture { thumbnail_jpeg(&frame.colour) } else { Vec::new() },
             look,
             latency,
@@ -319,8 +318,6 @@ pub struct Observation {
     pub picture_jpeg: Vec<u8>,
     /// What was seen.
     pub look: Look,
-    /// The vocabulary node of each feature, within which features are compared.
-    pub groups: Vec<u32>,
     /// How long seeing took.
     pub latency: PerceptionLatency,
 }

@@ -9,6 +9,7 @@ use super::results::{ImagePair, Mistake, Picture};
 use super::scene::{Answers, Scene};
 use super::traverse::{Observation, Traverse};
 use crate::verification::VerificationOptions;
+use crate::vocabulary::VocabularySet;
 
 /// Most mistakes of a kind that are shown.
 const MAX_SHOWN: usize = 4;
@@ -20,7 +21,7 @@ pub(super) fn mistakes(
     scene: &Scene<'_>,
     answers: &Answers,
     judged: &[Judged],
-    options: &VerificationOptions,
+    eyes: (&VocabularySet, &VerificationOptions),
 ) -> Vec<ImagePair> {
     let mut accepts: Vec<&Judged> =
         judged.iter().filter(|judged| judged.is_given && judged.best == Relation::Different).collect();
@@ -32,9 +33,9 @@ pub(super) fn mistakes(
         let answer = answers.of(asked)?;
         let best = answer.candidates.first()?;
         let why = (answer.confidence, best.reason.clone());
-        pair(scene, (Mistake::FalseAccept, asked, best.reference), why, options)
+        pair(scene, (Mistake::FalseAccept, asked, best.reference), why, eyes)
     });
-    let misses = apart(scene, &misses).into_iter().filter_map(|asked| miss(scene, answers, asked, options));
+    let misses = apart(scene, &misses).into_iter().filter_map(|asked| miss(scene, answers, asked, eyes));
     accepts.chain(misses).collect()
 }
 
@@ -66,7 +67,7 @@ fn miss(
     scene: &Scene<'_>,
     answers: &Answers,
     asked: Asked,
-    options: &VerificationOptions,
+    eyes: (&VocabularySet, &VerificationOptions),
 ) -> Option<ImagePair> {
     let Asked::Query(query) = asked else { return None };
     let answer = answers.of(asked)?;
@@ -80,18 +81,18 @@ fn miss(
             (matched, format!("not among the {found} candidates"))
         }
     };
-    pair(scene, (Mistake::Miss, asked, reference), (answer.confidence, reason), options)
+    pair(scene, (Mistake::Miss, asked, reference), (answer.confidence, reason), eyes)
 }
 
 fn pair(
     scene: &Scene<'_>,
     (mistake, asked, reference): (Mistake, Asked, usize),
     (confidence, reason): (f64, String),
-    options: &VerificationOptions,
+    eyes: (&VocabularySet, &VerificationOptions),
 ) -> Option<ImagePair> {
     let query = scene.observation(asked)?;
     let reference = scene.reference.observations.get(reference)?;
-    let verification = geometry(query, reference, options);
+    let verification = geometry(query, reference, eyes);
     let share = |point: crate::geometry::Point, of: &Observation| {
         [point.x / of.look.features.width_px as f32, point.y / of.look.features.height_px as f32]
     };

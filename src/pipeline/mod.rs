@@ -79,13 +79,13 @@ impl Pipeline {
     /// If the map cannot be written or a sink refuses a record.
     pub fn run(self, stop: &AtomicBool, watcher: &dyn Watcher) -> Result<RunSummary, PipelineError> {
         let Self { source, extractor, mut model, recogniser, sinks } = self;
-        let vocabulary = recogniser.vocabulary().clone();
+        let vocabularies = recogniser.vocabularies().clone();
         let (to_sinks, records) = bounded(QUEUE_FRAMES);
         let shows_matched = sinks.iter().any(|sink| sink.shows_matched_keyframe());
         thread::scope(|scope| {
             let delivery = stages::named("sinks").spawn_scoped(scope, || stages::deliver(sinks, records))?;
             let perception =
-                Perception { extractor: &extractor, vocabulary: &vocabulary, model: model.as_mut() };
+                Perception { extractor: &extractor, vocabularies: &vocabularies, model: model.as_mut() };
             let perceive = |visit: stages::Visit<'_>| perception.run(source, stop, watcher, visit);
             let recognised = stages::recognise(recogniser, perceive, (to_sinks, shows_matched), watcher);
             let delivered = stages::joined(delivery);

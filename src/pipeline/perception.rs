@@ -15,7 +15,7 @@ use crate::frame::Frame;
 use crate::recognition::Look;
 use crate::source::FrameSource;
 use crate::telemetry::CnnStatus;
-use crate::vocabulary::Vocabulary;
+use crate::vocabulary::VocabularySet;
 
 /// A frame and what was seen in it.
 #[derive(Clone, Debug)]
@@ -45,8 +45,8 @@ pub struct PerceptionLatency {
 pub struct Perception<'a> {
     /// Finds features.
     pub extractor: &'a OrbExtractor,
-    /// Knows their words.
-    pub vocabulary: &'a Vocabulary,
+    /// Knows their words, in every light.
+    pub vocabularies: &'a VocabularySet,
     /// The CNN, if there is one.
     pub model: Option<&'a mut DescriptorModel>,
 }
@@ -64,7 +64,7 @@ impl Perception<'_> {
         watcher: &dyn Watcher,
         visit: impl FnMut(Seen) -> Result<ControlFlow<()>, E>,
     ) -> Result<u64, E> {
-        let Self { extractor, vocabulary, model } = self;
+        let Self { extractor, vocabularies, model } = self;
         let (to_features, captured) = bounded(QUEUE_FRAMES);
         let (to_inputs, featured) = bounded(QUEUE_FRAMES);
         thread::scope(|scope| {
@@ -81,7 +81,7 @@ impl Perception<'_> {
             let capture = stages::named("capture")
                 .spawn_scoped(scope, || stages::capture(source, stop, watcher, (to_features, to_cnn)))?;
             stages::named("features")
-                .spawn_scoped(scope, || stages::extract(extractor, vocabulary, captured, to_inputs))?;
+                .spawn_scoped(scope, || stages::extract(extractor, vocabularies, captured, to_inputs))?;
             let visited = visit_all(Inputs { featured, described }, watcher, visit);
             let skipped = stages::joined(capture);
             visited.map(|()| skipped)
@@ -108,7 +108,7 @@ fn visit_all<E>(
 }
 
 fn seen(featured: stages::Featured, described: Option<stages::Described>) -> Seen {
-    let stages::Featured { captured, features, quantised, features_us } = featured;
+    let stages::Featured { captured, features, light, quantised, features_us } = featured;
     let cnn = match &described {
         None => CnnStatus::Unavailable,
         Some(described) if described.descriptor.is_ok() => CnnStatus::Available,
@@ -117,5 +117,5 @@ fn seen(featured: stages::Featured, described: Option<stages::Described>) -> See
     let cnn_us = described.as_ref().map_or(0, |described| described.cnn_us);
     let appearance = described.and_then(|described| described.descriptor.ok());
     let latency = PerceptionLatency { decode_us: captured.decode_us, features_us, cnn_us };
-    Seen { frame: captured.frame, look: Look { features, quantised, appearance }, cnn, latency }
+    Seen { frame: captured.frame, look: Look { features, light, quantised, appearance }, cnn, latency }
 }

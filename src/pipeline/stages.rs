@@ -18,7 +18,7 @@ use crate::place_map::{MapError, PlaceMap};
 use crate::recognition::{Decision, Recogniser, Recognition};
 use crate::source::{FrameSource, thumbnail_jpeg};
 use crate::telemetry::{FrameRecord, MatchedKeyframe, RecognitionSink, StageLatency, TelemetryError};
-use crate::vocabulary::{Quantised, Vocabulary};
+use crate::vocabulary::{Light, LightSwitch, Quantised, VocabularySet};
 
 /// A frame on its way.
 #[derive(Clone)]
@@ -31,6 +31,7 @@ pub(super) struct Captured {
 pub(super) struct Featured {
     pub(super) captured: Captured,
     pub(super) features: Features,
+    pub(super) light: Light,
     pub(super) quantised: Vec<Quantised>,
     pub(super) features_us: u64,
 }
@@ -80,15 +81,17 @@ pub(super) fn capture(
 /// Extracts and quantises the features of every frame.
 pub(super) fn extract(
     extractor: &OrbExtractor,
-    vocabulary: &Vocabulary,
+    vocabularies: &VocabularySet,
     captured: Receiver<Captured>,
     to_recognition: Sender<Featured>,
 ) {
+    let mut switch = LightSwitch::default();
     for captured in captured {
         let started = Instant::now();
+        let light = switch.follow(vocabularies, captured.frame.grey.mean_luminance());
         let features = extractor.extract(&captured.frame.grey);
-        let quantised = vocabulary.quantise_all(&features.descriptors);
-        let featured = Featured { captured, features, quantised, features_us: micros(started) };
+        let quantised = vocabularies.vocabulary(light.condition).quantise_all(&features.descriptors);
+        let featured = Featured { captured, features, light, quantised, features_us: micros(started) };
         if to_recognition.send(featured).is_err() {
             break;
         }

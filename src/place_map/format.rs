@@ -35,8 +35,10 @@ pub(super) enum Record {
     Founded,
     /// A place was given a name.
     Named { place: u32, name: String },
-    /// A place got an experience.
+    /// A place got an experience whose light is not known: from before light was noted.
     Experienced(Box<ExperienceRecord>),
+    /// A place got an experience, in a frame of this mean luminance.
+    ExperiencedInLight(f32, Box<ExperienceRecord>),
 }
 
 #[derive(Debug, Encode, Decode)]

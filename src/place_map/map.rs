@@ -22,6 +22,8 @@ pub struct NewExperience<'a> {
     pub features: &'a Features,
     /// Its CNN descriptor, if a CNN is running.
     pub appearance: Option<&'a Appearance>,
+    /// Mean luminance of the frame, 0 to 255.
+    pub mean_luminance: f32,
     /// A small JPEG for retraining and for people.
     pub thumbnail_jpeg: &'a [u8],
     /// Whether the place is to be recognised by it.
@@ -139,7 +141,7 @@ impl PlaceMap {
             appearance: new.appearance.map(|a| (a.model.clone(), a.descriptor.as_slice().to_vec())),
             thumbnail_jpeg: new.thumbnail_jpeg.to_vec(),
         };
-        self.write(Record::Experienced(Box::new(record)))?;
+        self.write(Record::ExperiencedInLight(new.mean_luminance, Box::new(record)))?;
         Ok(ExperienceId(self.contents.experiences.len() as u32 - 1))
     }
 
@@ -192,7 +194,9 @@ impl PlaceMap {
         let unreadable = |reason: String| MapError::Unreadable { experience: id.0, reason };
         let experience = self.experience(id).ok_or_else(|| unreadable("it is not in the map".to_owned()))?;
         match Record::decode(&self.journal.read(experience.record_offset)?) {
-            Ok(Record::Experienced(record)) => Ok(record.thumbnail_jpeg),
+            Ok(Record::Experienced(record) | Record::ExperiencedInLight(_, record)) => {
+                Ok(record.thumbnail_jpeg)
+            }
             Ok(_) => Err(unreadable("its record is another one".to_owned())),
             Err(reason) => Err(unreadable(reason)),
         }
@@ -243,7 +247,7 @@ impl Contents {
         let place = match record {
             Record::Founded => return Ok(()),
             Record::Named { place, .. } => *place,
-            Record::Experienced(record) => record.place,
+            Record::Experienced(record) | Record::ExperiencedInLight(_, record) => record.place,
         };
         if (place as usize) < self.places.len() { Ok(()) } else { Err(format!("there is no place {place}")) }
     }
@@ -256,12 +260,20 @@ impl Contents {
                 self.places.push(Place { id, name: None, experiences: Vec::new() });
             }
             Record::Named { place, name } => self.places[place as usize].name = Some(name),
-            Record::Experienced(record) => self.apply_experience(*record, offset)?,
+            Record::Experienced(record) => self.apply_experience(*record, None, offset)?,
+            Record::ExperiencedInLight(mean_luminance, record) => {
+                self.apply_experience(*record, Some(mean_luminance), offset)?;
+            }
         }
         Ok(())
     }
 
-    fn apply_experience(&mut self, record: ExperienceRecord, offset: u64) -> Result<(), String> {
+    fn apply_experience(
+        &mut self,
+        record: ExperienceRecord,
+        mean_luminance: Option<f32>,
+        offset: u64,
+    ) -> Result<(), String> {
         let id = ExperienceId(self.experiences.len() as u32);
         let features = record.features().ok_or("its features do not fit together")?;
         let appearance = record.appearance.map(unpack_appearance).transpose()?;
@@ -273,6 +285,7 @@ impl Contents {
             frame_name: record.frame_name,
             capture_nanos: record.capture_nanos,
             pose: record.pose.map(unpack_pose),
+            mean_luminance,
             keyframe: record.is_keyframe.then_some(Keyframe { features, appearance }),
             record_offset: offset,
         });
@@ -334,6 +347,7 @@ mod tests {
             frame: &frame(index),
             features: &features(),
             appearance: Some(&appearance),
+            mean_luminance: 80.0,
             thumbnail_jpeg: &[index as u8; 9],
             is_keyframe,
         };
@@ -395,6 +409,22 @@ mod tests {
     }
 
     #[test]
+    fn an_experience_from_before_light_was_noted_is_read() {
+        let mut map = PlaceMap::in_memory().unwrap();
+        let place = map.found_place().unwrap();
+        add(&mut map, place, 0, true);
+        let offset = map.experiences()[0].record_offset;
+        let Ok(Record::ExperiencedInLight(_, record)) = Record::decode(&map.journal.read(offset).unwrap())
+        else {
+            panic!("another record");
+        };
+        map.write(Record::Experienced(record)).unwrap();
+        let lights: Vec<Option<f32>> = map.experiences().iter().map(|e| e.mean_luminance).collect();
+        assert_eq!(lights, [Some(80.0), None]);
+        assert_eq!(map.thumbnail_jpeg(ExperienceId(1)).unwrap(), [0; 9]);
+    }
+
+    #[test]
     fn a_missing_map_is_named_with_the_command_that_makes_one() {
         let folder = tempfile::tempdir().unwrap();
         let error = PlaceMap::open_read_only(folder.path()).err().unwrap().to_string();
@@ -411,6 +441,7 @@ mod tests {
             frame: &frame(0),
             features: &features(),
             appearance: None,
+            mean_luminance: 80.0,
             thumbnail_jpeg: &[],
             is_keyframe: true,
         };

@@ -50,6 +50,8 @@ pub struct Experience {
     pub capture_nanos: i64,
     /// Where the robot was, if something told us.
     pub pose: Option<Pose>,
+    /// Mean luminance of the frame, 0 to 255, if it was noted.
+    pub mean_luminance: Option<f32>,
     /// What recognition needs of it, if the place is recognised by it.
     pub keyframe: Option<Keyframe>,
     /// Where its record, with thumbnail and features, is in the journal.

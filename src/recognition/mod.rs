@@ -10,6 +10,7 @@
 mod appearance;
 mod calibration;
 mod candidate;
+mod keyframe_index;
 mod recogniser;
 mod visits;
 

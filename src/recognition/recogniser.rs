@@ -5,15 +5,15 @@ use std::sync::Arc;
 use super::appearance::AppearanceIndex;
 use super::calibration::{doubt, inlier_probability};
 use super::candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
+use super::keyframe_index::KeyframeIndex;
 use super::visits::Visits;
 use super::{Decision, Recognition};
 use crate::cnn;
 use crate::feature::Features;
 use crate::frame::Frame;
 use crate::place_map::{Appearance, ExperienceId, MapError, NewExperience, PlaceId, PlaceMap};
-use crate::retrieval::{BowVector, DocumentId, InvertedIndex};
 use crate::verification::{MatchingView, Verification, VerificationOptions, verify};
-use crate::vocabulary::{Quantised, Vocabulary};
+use crate::vocabulary::{ConditionId, Light, Quantised, VocabularySet};
 
 /// Settings of the decision.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,36 +44,33 @@ impl Default for RecognitionOptions {
 pub struct Look {
     /// ORB features.
     pub features: Features,
-    /// What the vocabulary says of each of them.
+    /// Under which light.
+    pub light: Light,
+    /// What the vocabulary of that light says of each feature.
     pub quantised: Vec<Quantised>,
     /// CNN descriptor, if a CNN is running.
     pub appearance: Option<cnn::Descriptor>,
 }
 
 impl Look {
-    /// The words and nodes of `features`, with the CNN's descriptor of the same frame.
+    /// The words and nodes of `features` seen in `light`, with the CNN's descriptor of the same frame.
     #[must_use]
-    pub fn new(features: Features, vocabulary: &Vocabulary, appearance: Option<cnn::Descriptor>) -> Self {
-        let quantised = vocabulary.quantise_all(&features.descriptors);
-        Self { features, quantised, appearance }
+    pub fn new(
+        features: Features,
+        (vocabularies, light): (&VocabularySet, Light),
+        appearance: Option<cnn::Descriptor>,
+    ) -> Self {
+        let quantised = vocabularies.vocabulary(light.condition).quantise_all(&features.descriptors);
+        Self { features, light, quantised, appearance }
     }
-}
-
-/// A keyframe as BoW+HV needs it; its position in the list is its document in the inverted index.
-struct IndexedKeyframe {
-    place: PlaceId,
-    experience: ExperienceId,
-    groups: Vec<u32>,
 }
 
 /// Recognises places and grows the map.
 pub struct Recogniser {
     options: RecognitionOptions,
-    vocabulary: Arc<Vocabulary>,
     model: Option<cnn::ModelCard>,
     map: PlaceMap,
-    inverted_index: InvertedIndex,
-    keyframes: Vec<IndexedKeyframe>,
+    keyframes: KeyframeIndex,
     appearances: AppearanceIndex,
     visits: Visits,
 }
@@ -83,19 +80,17 @@ impl Recogniser {
     /// another model made are left out.
     #[must_use]
     pub fn new(
-        vocabulary: Arc<Vocabulary>,
+        vocabularies: Arc<VocabularySet>,
         map: PlaceMap,
         model: Option<cnn::ModelCard>,
         options: RecognitionOptions,
     ) -> Self {
         let mut recogniser = Self {
-            inverted_index: InvertedIndex::default(),
             visits: Visits::new(options.place_interval),
             options,
-            vocabulary,
             model,
             map,
-            keyframes: Vec::new(),
+            keyframes: KeyframeIndex::new(vocabularies),
             appearances: AppearanceIndex::default(),
         };
         for id in 0..recogniser.map.experiences().len() as u32 {
@@ -116,10 +111,10 @@ impl Recogniser {
         self.map
     }
 
-    /// The vocabulary.
+    /// The vocabularies.
     #[must_use]
-    pub fn vocabulary(&self) -> &Arc<Vocabulary> {
-        &self.vocabulary
+    pub fn vocabularies(&self) -> &Arc<VocabularySet> {
+        self.keyframes.vocabularies()
     }
 
     /// Whether a CNN takes part.
@@ -174,13 +169,8 @@ impl Recogniser {
     }
 
     fn retrieve_by_words(&mut self, look: &Look) -> Vec<Candidate> {
-        let bow = BowVector::new(look.quantised.iter().map(|q| q.word), &self.vocabulary);
-        let keyframes = &self.keyframes;
-        let unasked = self.visits.founded_within_interval();
-        let wanted = |document: DocumentId| Some(keyframes[document.0 as usize].place) != unasked;
         let mut candidates: Vec<Candidate> = Vec::with_capacity(MAX_CANDIDATES);
-        for retrieved in self.inverted_index.query(&bow, wanted) {
-            let keyframe = &self.keyframes[retrieved.document.0 as usize];
+        for keyframe in self.keyframes.query(look, self.visits.founded_within_interval()) {
             let is_known = candidates.iter().any(|candidate| candidate.place == keyframe.place);
             if is_known || candidates.len() == MAX_CANDIDATES {
                 continue;
@@ -189,7 +179,7 @@ impl Recogniser {
                 place: keyframe.place,
                 keyframe: keyframe.experience,
                 by: Evidence::BowHv,
-                score: retrieved.score,
+                score: keyframe.score,
                 inliers: None,
                 rejected: None,
             });
@@ -207,7 +197,7 @@ impl Recogniser {
         let query = MatchingView { features: &look.features, groups: &groups };
         let mut best: Option<Verification> = None;
         for candidate in candidates.iter_mut().filter(|candidate| candidate.by == Evidence::BowHv) {
-            let verification = self.verify_keyframe(query, candidate.keyframe);
+            let verification = self.verify_keyframe((query, look.light.condition), candidate.keyframe);
             let got = verification.effective_inliers;
             candidate.inliers = Some(got);
             if got < self.options.min_inliers {
@@ -219,11 +209,15 @@ impl Recogniser {
         best
     }
 
-    fn verify_keyframe(&self, query: MatchingView<'_>, keyframe: ExperienceId) -> Verification {
-        let indexed = self.keyframes.binary_search_by_key(&keyframe, |indexed| indexed.experience);
+    fn verify_keyframe(
+        &self,
+        (query, condition): (MatchingView<'_>, ConditionId),
+        keyframe: ExperienceId,
+    ) -> Verification {
+        let groups = self.keyframes.groups(keyframe, condition);
         let stored = self.map.experience(keyframe).and_then(|experience| experience.keyframe.as_ref());
-        let (Ok(indexed), Some(stored)) = (indexed, stored) else { return Verification::default() };
-        let view = MatchingView { features: &stored.features, groups: &self.keyframes[indexed].groups };
+        let (Some(groups), Some(stored)) = (groups, stored) else { return Verification::default() };
+        let view = MatchingView { features: &stored.features, groups };
         verify(query, view, &self.options.verification)
     }
 
@@ -253,7 +247,8 @@ impl Recogniser {
             None => self.map.found_place()?,
         };
         recognition.place = Some(place);
-        let is_keyframe = self.visits.is_young(place) && self.is_new_look(&recognition);
+        let is_keyframe = self.visits.is_young(place) && self.is_new_look(&recognition)
+            || self.is_in_new_light(place, look.light);
         let id = self.learn(frame, look, (place, is_keyframe), &thumbnail_jpeg())?;
         if is_new {
             recognition.keyframe = Some(id);
@@ -326,6 +321,20 @@ impl Recogniser {
         !known_by_cnn
     }
 
+    /// Whether the place has no keyframe of the condition yet: a place first seen by day is to be known by
+    /// night once it was seen by night.
+    fn is_in_new_light(&self, place: PlaceId, light: Light) -> bool {
+        let vocabularies = self.keyframes.vocabularies();
+        if vocabularies.conditions().count() == 1 {
+            return false;
+        }
+        let experiences = self.map.place(place).into_iter().flat_map(|place| &place.experiences);
+        let lights = experiences
+            .filter_map(|&id| self.map.experience(id))
+            .filter_map(|experience| experience.keyframe.as_ref().and(experience.mean_luminance));
+        !lights.map(|luminance| vocabularies.nearest(luminance)).any(|known| known == light.condition)
+    }
+
     fn learn(
         &mut self,
         frame: &Frame,
@@ -340,6 +349,7 @@ impl Recogniser {
             frame,
             features: &look.features,
             appearance: appearance.as_ref(),
+            mean_luminance: look.light.mean_luminance,
             thumbnail_jpeg,
             is_keyframe,
         };
@@ -352,10 +362,7 @@ impl Recogniser {
     fn index(&mut self, id: ExperienceId) {
         let Some(experience) = self.map.experience(id) else { return };
         let Some(keyframe) = &experience.keyframe else { return };
-        let quantised = self.vocabulary.quantise_all(&keyframe.features.descriptors);
-        self.inverted_index.add(&BowVector::new(quantised.iter().map(|q| q.word), &self.vocabulary));
-        let groups = quantised.iter().map(|q| q.node.0).collect();
-        self.keyframes.push(IndexedKeyframe { place: experience.place, experience: id, groups });
+        self.keyframes.add(experience.place, id, &keyframe.features);
         if let (Some(model), Some(appearance)) = (&self.model, &keyframe.appearance)
             && appearance.model == model.sha256
         {
@@ -392,7 +399,7 @@ mod tests {
     use crate::feature::{Descriptor, Keypoint};
     use crate::geometry::Point;
     use crate::raster::{GreyImage, RgbImage};
-    use crate::vocabulary::{TrainingOptions, train};
+    use crate::vocabulary::{MemoryCorpus, TrainingOptions, train, train_on};
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64;
 
@@ -446,7 +453,7 @@ mod tests {
             let vocabulary =
                 train(&images, TrainingOptions { branching: 6, depth: 3, ..TrainingOptions::default() })
                     .unwrap();
-            Self { recogniser: Recogniser::new(Arc::new(vocabulary), map, model, options), frames: 0 }
+            Self { recogniser: Recogniser::new(Arc::new(vocabulary.into()), map, model, options), frames: 0 }
         }
 
         fn with_cnn() -> Self {
@@ -457,8 +464,26 @@ mod tests {
             Self::new(None, no_interval(), PlaceMap::in_memory().unwrap())
         }
 
+        /// A robot with two vocabularies, for the light of 40 and of 120.
+        fn by_day_and_night() -> Self {
+            let vocabulary = |places: std::ops::Range<u64>, luminance: f32| {
+                let images: Vec<Vec<Descriptor>> = places.map(|place| features(place).descriptors).collect();
+                let corpus = MemoryCorpus { images: &images, mean_luminance: Some(luminance) };
+                let options = TrainingOptions { branching: 6, depth: 3, ..TrainingOptions::default() };
+                (format!("{luminance}").into(), train_on(&corpus, options, &|_| {}).unwrap().vocabulary)
+            };
+            let set = VocabularySet::new(vec![vocabulary(0..8, 120.0), vocabulary(100..108, 40.0)]).unwrap();
+            let map = PlaceMap::in_memory().unwrap();
+            Self { recogniser: Recogniser::new(Arc::new(set), map, Some(card()), no_interval()), frames: 0 }
+        }
+
         /// Looks at the features of one place and the CNN descriptor of a look, if there is a CNN.
         fn see(&mut self, place: u64, look: usize) -> Recognition {
+            self.see_in(120.0, place, look)
+        }
+
+        /// The same in a frame of that luminance.
+        fn see_in(&mut self, mean_luminance: f32, place: u64, look: usize) -> Recognition {
             let frame = Frame {
                 index: self.frames,
                 capture_nanos: 0,
@@ -471,7 +496,9 @@ mod tests {
             };
             self.frames += 1;
             let appearance = self.recogniser.has_cnn().then(|| appearance(look));
-            let look = Look::new(features(place), &self.recogniser.vocabulary, appearance);
+            let vocabularies = self.recogniser.vocabularies();
+            let light = Light { mean_luminance, condition: vocabularies.nearest(mean_luminance) };
+            let look = Look::new(features(place), (vocabularies, light), appearance);
             self.recogniser.recognise(&frame, &look, Vec::new).unwrap()
         }
 
@@ -544,6 +571,35 @@ mod tests {
         robot.see(0, 0);
         assert_eq!(robot.keyframes(), before);
         assert_eq!(robot.recogniser.map().places()[0].experiences.len(), 2);
+    }
+
+    #[test]
+    fn a_place_first_seen_by_day_is_matched_by_night_once_it_has_a_night_experience() {
+        let mut robot = Robot::by_day_and_night();
+        let (day, night) = (0, 100);
+        let dock = robot.see(day, 0).place;
+        robot.leave();
+        // By night the CNN still knows the place; its features are others.
+        assert_eq!(robot.see_in(40.0, night, 0).decision, Decision::Recognised);
+        robot.leave();
+        // Now the CNN does not, but the words of the night do.
+        let answer = robot.see_in(40.0, night, 9);
+        assert_eq!((answer.decision, answer.place), (Decision::Revisited, dock));
+        robot.leave();
+        assert_eq!(robot.see(day, 8).place, dock, "and the day is not forgotten");
+    }
+
+    #[test]
+    fn one_more_look_in_a_known_light_becomes_no_keyframe() {
+        let mut robot = Robot::by_day_and_night();
+        robot.see(0, 0);
+        robot.leave();
+        robot.see_in(40.0, 100, 0);
+        let keyframes = robot.keyframes();
+        for luminance in [40.0, 60.0, 120.0, 200.0] {
+            robot.see_in(luminance, 100, 0);
+        }
+        assert_eq!(robot.keyframes(), keyframes);
     }
 
     #[test]

@@ -65,7 +65,9 @@ fn decode_jpeg(bytes: &[u8]) -> Result<RgbImage, String> {
     if !has_end_of_image(bytes) {
         return Err("the JPEG is cut off; copy it again or remove it".to_owned());
     }
-    let damaged = |error| format!("damaged JPEG ({error:?}); copy it again or remove it");
+    // Some of the decoder's errors end in a line break.
+    let damaged = |error| format!("{error:?}").split_whitespace().collect::<Vec<_>>().join(" ");
+    let damaged = |error| format!("damaged JPEG ({}); copy it again or remove it", damaged(error));
     let options = DecoderOptions::default()
         .set_max_width(usize::from(u16::MAX))
         .set_max_height(usize::from(u16::MAX))
@@ -87,12 +89,29 @@ fn has_end_of_image(bytes: &[u8]) -> bool {
 
 fn decode_png(bytes: &[u8]) -> Result<RgbImage, String> {
     let plain = |error: ImageError| error.to_string();
+    if has_torn_palette(bytes) {
+        return Err("the palette is torn".to_owned());
+    }
     let decoder = PngDecoder::new(Cursor::new(bytes)).map_err(plain)?;
     let (width, height) = decoder.dimensions();
     check_size(width as usize, height as usize)?;
     let image = DynamicImage::from_decoder(decoder).map_err(plain)?.into_rgb8();
     let (width, height) = (image.width() as usize, image.height() as usize);
     RgbImage::from_pixels(width, height, image.into_raw()).ok_or_else(|| "the PNG is not RGB".to_owned())
+}
+
+/// Whether a palette is no list of three bytes a colour: the decoder panics on it (png 0.18.1).
+fn has_torn_palette(bytes: &[u8]) -> bool {
+    let mut rest = bytes.get(8..).unwrap_or_default();
+    // A chunk: length of its data (4), kind (4), data, checksum (4).
+    while let Some((&[a, b, c, d, ref kind @ ..], after)) = rest.split_first_chunk::<8>() {
+        let length = u32::from_be_bytes([a, b, c, d]) as usize;
+        if kind == b"PLTE" && !length.is_multiple_of(3) {
+            return true;
+        }
+        rest = after.get(length.saturating_add(4)..).unwrap_or_default();
+    }
+    false
 }
 
 /// Refuses sizes in which nothing can be recognised, or that would take too much memory.

@@ -6,10 +6,12 @@
 
 mod format;
 pub mod import;
+mod set;
 mod training;
 mod tree;
 mod version_1;
 
+pub use set::{ConditionId, Light, LightSwitch, VocabularySet};
 pub use training::{
     Corpus, CorpusImage, MemoryCorpus, Trained, TrainingFile, TrainingOptions, TrainingProgress, train,
     train_on,
@@ -81,6 +83,12 @@ pub enum VocabularyError {
     UnknownFormat {
         /// The file.
         path: PathBuf,
+    },
+    /// These vocabularies make no set.
+    #[error("a set of vocabularies is switched by light, but {reason}")]
+    BadSet {
+        /// What is wrong with them.
+        reason: String,
     },
     /// The file is one that can be imported, but was not.
     #[error("{} is a {format}: turn it into a .lvoc file with `loci vocab import`", path.display())]

@@ -133,9 +133,9 @@ pub(super) struct OutputArguments {
 #[derive(Args)]
 #[command(next_help_heading = "Settings")]
 struct SettingArguments {
-    /// Visual vocabulary [default: vocab/default.lvoc]
-    #[arg(long, env = "LOCI_VOCAB", value_name = "FILE")]
-    vocab: Option<PathBuf>,
+    /// Visual vocabulary; given again, a set that is switched by light [default: vocab/default.lvoc]
+    #[arg(long, env = "LOCI_VOCAB", value_name = "FILE", value_delimiter = ',')]
+    vocab: Vec<PathBuf>,
     /// Folder of the CNN with its card [default: models/efficientnet-lite0]
     #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]
     model: Option<PathBuf>,

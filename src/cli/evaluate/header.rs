@@ -1,7 +1,7 @@
 //! The head of a report: all that is needed to get the same figures again.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use loci::cnn::ModelCard;
 use loci::evaluation::results::{Asset, Header};
@@ -14,7 +14,7 @@ use loci::retrieval::MAX_RETRIEVED;
 pub(super) fn header(
     eyes: &Eyes,
     options: &RecognitionOptions,
-    (vocabulary, suite): (&Path, Option<Asset>),
+    (vocabularies, suite): (&[PathBuf], Option<Asset>),
     backend: String,
 ) -> anyhow::Result<Header> {
     let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -25,7 +25,10 @@ pub(super) fn header(
         cpu: machine::cpu(),
         cpu_threads: machine::cpu_threads(),
         backend,
-        vocabulary: loci::evaluation::asset(name(vocabulary), vocabulary)?,
+        vocabularies: vocabularies
+            .iter()
+            .map(|path| loci::evaluation::asset(name(path), path))
+            .collect::<Result<_, _>>()?,
         model: card.map(|card| Asset {
             name: format!("{} {}", card.name, card.version),
             sha256: card.sha256.clone(),

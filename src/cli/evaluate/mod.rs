@@ -80,8 +80,8 @@ fn evaluate(
     settings: &StreamSettings,
     (keeps_pictures, stop): (bool, &AtomicBool),
 ) -> anyhow::Result<Report> {
-    let vocabulary_path = assets::find(settings.vocab.as_deref(), assets::VOCABULARY, "--vocab")?;
-    let (eyes, runtime) = stream::eyes(&vocabulary_path, settings)?;
+    let vocabularies = assets::find_vocabularies(&settings.vocab)?;
+    let (eyes, runtime) = stream::eyes(&vocabularies, settings)?;
     let without_answers = plans.iter().find(|plan| eyes.model.is_none() && plan.needs_cnn());
     if let Some(plan) = without_answers {
         anyhow::bail!(
@@ -97,7 +97,7 @@ fn evaluate(
         }
         None => "no CNN; kernels in plain Rust".to_owned(),
     };
-    let header = header::header(&eyes, &options, (&vocabulary_path, suite), backend)?;
+    let header = header::header(&eyes, &options, (&vocabularies, suite), backend)?;
     let progress = Progress { bar: progress_bar(None, "frames", ProgressDrawTarget::stderr()) };
     let mut evaluator = Evaluator::new(eyes, options, keeps_pictures, (stop, &progress));
     let mut experiments: Vec<Experiment> = Vec::new();

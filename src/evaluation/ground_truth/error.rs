@@ -52,7 +52,7 @@ impl GroundTruthError {
     }
 
     pub(in crate::evaluation) fn malformed(path: &Path, reason: impl Into<String>) -> Self {
-        Self::Malformed { path: path.to_owned(), reason: reason.into() }
+        Fault::from(reason.into()).at(path)
     }
 
     /// About lines of a text file, from 1.
@@ -98,7 +98,9 @@ impl Fault {
 
     /// The error about the file at `path`.
     pub(super) fn at(self, path: &Path) -> GroundTruthError {
-        let (path, reason) = (path.to_owned(), self.reason);
+        // A reason may quote the file, line breaks and all; an error is one line.
+        let reason = self.reason.split_whitespace().collect::<Vec<_>>().join(" ");
+        let path = path.to_owned();
         match self.rows {
             Some(rows) => GroundTruthError::Rows { path, rows, reason },
             None => GroundTruthError::Malformed { path, reason },

@@ -85,12 +85,13 @@ fn typeset(prose: &str) -> String {
 
 fn header(report: &Report) -> String {
     let header = &report.header;
+    let vocabularies: Vec<String> = header.vocabularies.iter().map(|known| asset(Some(known))).collect();
     let mut rows = vec![
         vec!["Loci".to_owned(), escape(&header.loci)],
         vec!["Processor".to_owned(), escape(&header.cpu)],
         vec!["Hardware threads".to_owned(), cells::thousands(header.cpu_threads as u64)],
         vec!["Backend".to_owned(), escape(&header.backend)],
-        vec!["Vocabulary".to_owned(), asset(Some(&header.vocabulary))],
+        vec!["Vocabulary".to_owned(), vocabularies.join("; ")],
         vec!["CNN".to_owned(), asset(header.model.as_ref())],
     ];
     rows.extend(header.suite.as_ref().map(|suite| vec!["Suite".to_owned(), asset(Some(suite))]));

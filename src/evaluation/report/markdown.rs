@@ -106,7 +106,7 @@ fn header(report: &Report) -> String {
         ("Processor", escape(&header.cpu)),
         ("Hardware threads", cells::thousands(header.cpu_threads as u64)),
         ("Backend", escape(&header.backend)),
-        ("Vocabulary", asset(&header.vocabulary)),
+        ("Vocabulary", header.vocabularies.iter().map(asset).collect::<Vec<_>>().join("; ")),
         ("CNN", header.model.as_ref().map_or_else(|| NOTHING.to_owned(), asset)),
     ];
     rows.extend(header.suite.as_ref().map(|suite| ("Suite", asset(suite))));

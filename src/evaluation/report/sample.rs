@@ -38,7 +38,7 @@ fn header() -> Header {
         cpu: "Made-up CPU @ 2.00GHz".into(),
         cpu_threads: 4_096,
         backend: "ONNX Runtime 1.32.0, CPU; AVX2 kernels".into(),
-        vocabulary: Asset { name: "street.lvoc".into(), sha256: "0123456789abcdef".repeat(4) },
+        vocabularies: vec![Asset { name: "street.lvoc".into(), sha256: "0123456789abcdef".repeat(4) }],
         model: Some(Asset { name: "places.onnx".into(), sha256: "fedcba9876543210".repeat(4) }),
         suite: Some(Asset { name: "suite.toml".into(), sha256: "89abcdef01234567".repeat(4) }),
         settings: settings.map(|(name, value)| (name.to_owned(), value.to_owned())).into(),

@@ -36,23 +36,35 @@ pub trait Corpus {
 }
 
 /// Images in memory.
-pub struct MemoryCorpus<'a>(pub &'a [Vec<Descriptor>]);
+#[derive(Clone, Copy, Debug)]
+pub struct MemoryCorpus<'a> {
+    /// The descriptors of each.
+    pub images: &'a [Vec<Descriptor>],
+    /// Their mean luminance, 0 to 255, if it is known.
+    pub mean_luminance: Option<f32>,
+}
+
+impl<'a> From<&'a [Vec<Descriptor>]> for MemoryCorpus<'a> {
+    fn from(images: &'a [Vec<Descriptor>]) -> Self {
+        Self { images, mean_luminance: None }
+    }
+}
 
 impl Corpus for MemoryCorpus<'_> {
     fn image_count(&self) -> u64 {
-        self.0.len() as u64
+        self.images.len() as u64
     }
 
     fn descriptor_count(&self) -> u64 {
-        self.0.iter().map(|image| image.len() as u64).sum()
+        self.images.iter().map(|image| image.len() as u64).sum()
     }
 
     fn mean_luminance(&self) -> Option<f32> {
-        None
+        self.mean_luminance
     }
 
     fn visit(&self, visit: &mut dyn FnMut(&[Descriptor])) -> Result<(), VocabularyError> {
-        self.0.iter().for_each(|image| visit(image));
+        self.images.iter().for_each(|image| visit(image));
         Ok(())
     }
 }

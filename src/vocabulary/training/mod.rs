@@ -97,7 +97,7 @@ pub struct Trained {
 /// # Errors
 /// If there is no descriptor at all, or the options make no tree.
 pub fn train(images: &[Vec<Descriptor>], options: TrainingOptions) -> Result<Vocabulary, VocabularyError> {
-    Ok(train_on(&MemoryCorpus(images), options, &|_| {})?.vocabulary)
+    Ok(train_on(&MemoryCorpus::from(images), options, &|_| {})?.vocabulary)
 }
 
 /// Learns a vocabulary from `corpus`, on all cores, and tells `watch` how far it is.
@@ -227,7 +227,7 @@ mod tests {
         let images = images(200, 4);
         let trained = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| train_on(&MemoryCorpus(&images), options(5, 4), &|_| {}).unwrap())
+            pool.install(|| train_on(&MemoryCorpus::from(&images[..]), options(5, 4), &|_| {}).unwrap())
         };
         let (one, three) = (trained(1), trained(3));
         let folder = tempfile::tempdir().unwrap();
@@ -243,7 +243,7 @@ mod tests {
     #[test]
     fn the_figures_are_those_of_quantising_every_descriptor() {
         let images = images(20, 5);
-        let trained = train_on(&MemoryCorpus(&images), options(3, 3), &|_| {}).unwrap();
+        let trained = train_on(&MemoryCorpus::from(&images[..]), options(3, 3), &|_| {}).unwrap();
         let quantised: Vec<_> = images.iter().flatten().map(|d| trained.vocabulary.quantise(d)).collect();
         let distortion: u64 = quantised.iter().map(|q| u64::from(q.distance_bits)).sum();
         let mut occupancy = vec![0_u32; trained.vocabulary.word_count() as usize];
@@ -259,7 +259,7 @@ mod tests {
     fn a_small_sample_grows_the_tree_and_all_images_weigh_it() {
         let images = images(40, 6);
         let few = TrainingOptions { most_descriptors: 300, ..options(4, 3) };
-        let trained = train_on(&MemoryCorpus(&images), few, &|_| {}).unwrap();
+        let trained = train_on(&MemoryCorpus::from(&images[..]), few, &|_| {}).unwrap();
         assert_eq!((trained.sampled_descriptors, trained.descriptors), (300, 2400));
         assert_eq!(trained.vocabulary.image_count(), 40);
         let heaviest =

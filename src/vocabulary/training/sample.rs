@@ -38,7 +38,7 @@ mod tests {
             .collect();
         let mut drawn = [0; 60];
         for seed in 0..2000 {
-            let sample = draw(&MemoryCorpus(&images), 15, seed).unwrap();
+            let sample = draw(&MemoryCorpus::from(&images[..]), 15, seed).unwrap();
             assert_eq!(sample.len(), 15);
             sample.iter().for_each(|descriptor| drawn[usize::from(descriptor.0[0])] += 1);
         }
@@ -48,7 +48,7 @@ mod tests {
 
     #[test]
     fn a_corpus_that_fits_is_taken_whole() {
-        let images = vec![vec![Descriptor([1; 32])], vec![], vec![Descriptor([2; 32]), Descriptor([3; 32])]];
-        assert_eq!(draw(&MemoryCorpus(&images), 100, 1).unwrap(), images.concat());
+        let images = [vec![Descriptor([1; 32])], vec![], vec![Descriptor([2; 32]), Descriptor([3; 32])]];
+        assert_eq!(draw(&MemoryCorpus::from(&images[..]), 100, 1).unwrap(), images.concat());
     }
 }
