@@ -1,6 +1,6 @@
 //! Vocabularies of other libraries: ORB-SLAM's text, DBoW2's YAML, DBoW3's binary, FBoW.
 //!
-//! A file says itself which of them it is. Each reader answers a [`ForeignTree`]; the tree becomes ours
+//! A file says itself which of them it is. Each reader answers a tree as it stands there; it becomes ours
 //! with the children of a node and the words numbered as they were, so that descents and bags of words
 //! come out as in the library that wrote it. No count is believed before the file was seen to hold as much.
 
