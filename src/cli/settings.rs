@@ -38,6 +38,10 @@ pub(super) struct StreamSettings {
     #[arg(long, env = "LOCI_READ_ONLY", num_args = 0..=1, require_equals = true,
           default_missing_value = "true", value_name = "BOOL")]
     pub(super) read_only: Option<bool>,
+    /// Learn words online where the vocabulary covers what is seen badly
+    #[arg(long, env = "LOCI_GROW_VOCABULARY", num_args = 0..=1, require_equals = true,
+          default_missing_value = "true", value_name = "BOOL")]
+    pub(super) grow_vocabulary: Option<bool>,
     /// Show it in rerun: off, spawn, connect=ADDR, serve[=ADDR] or save=FILE.rrd [default: off]
     #[arg(long, env = "LOCI_RERUN", value_name = "TARGET")]
     pub(super) rerun: Option<String>,
@@ -66,6 +70,7 @@ impl StreamSettings {
             sample_interval: self.sample_interval.or(other.sample_interval),
             place_interval: self.place_interval.or(other.place_interval),
             read_only: self.read_only.or(other.read_only),
+            grow_vocabulary: self.grow_vocabulary.or(other.grow_vocabulary),
             rerun: self.rerun.or(other.rerun),
             threads: self.threads.or(other.threads),
         }

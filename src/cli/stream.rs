@@ -46,6 +46,7 @@ pub(super) fn recognition_options(settings: &StreamSettings) -> RecognitionOptio
     RecognitionOptions {
         place_interval: settings.place_interval.unwrap_or(defaults.place_interval),
         read_only: settings.read_only.unwrap_or(defaults.read_only),
+        grow_vocabulary: settings.grow_vocabulary.unwrap_or(defaults.grow_vocabulary),
         ..defaults
     }
 }

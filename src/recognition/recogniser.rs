@@ -24,6 +24,8 @@ pub struct RecognitionOptions {
     pub min_inliers: u32,
     /// Never change the map; frames that match nothing are `unknown`. Default false.
     pub read_only: bool,
+    /// Learn words online where the vocabulary covers the keyframes badly; default false.
+    pub grow_vocabulary: bool,
     /// Tolerances of the verification.
     pub verification: VerificationOptions,
 }
@@ -34,6 +36,7 @@ impl Default for RecognitionOptions {
             place_interval: 5,
             min_inliers: 12,
             read_only: false,
+            grow_vocabulary: false,
             verification: VerificationOptions::default(),
         }
     }
@@ -87,10 +90,10 @@ impl Recogniser {
     ) -> Self {
         let mut recogniser = Self {
             visits: Visits::new(options.place_interval),
+            keyframes: KeyframeIndex::new(vocabularies, options.grow_vocabulary),
             options,
             model,
             map,
-            keyframes: KeyframeIndex::new(vocabularies),
             appearances: AppearanceIndex::default(),
         };
         for id in 0..recogniser.map.experiences().len() as u32 {
@@ -600,6 +603,45 @@ mod tests {
             robot.see_in(luminance, 100, 0);
         }
         assert_eq!(robot.keyframes(), keyframes);
+    }
+
+    /// Indices of the BoW candidates' places and their scores, for the features of one place.
+    fn retrieved(recogniser: &mut Recogniser, place: u64) -> Vec<(PlaceId, f32)> {
+        let look = Look::new(features(place), (recogniser.vocabularies(), Light::default()), None);
+        recogniser.retrieve(&look).iter().map(|candidate| (candidate.place, candidate.score)).collect()
+    }
+
+    #[test]
+    fn words_that_grew_find_what_the_vocabulary_covers_badly() {
+        // Random descriptors lie about 128 bits from those of other places: places 20 to 29 were not trained.
+        let scores = [false, true].map(|grow_vocabulary| {
+            let options = RecognitionOptions { grow_vocabulary, place_interval: 1, ..no_interval() };
+            let mut robot = Robot::new(None, options, PlaceMap::in_memory().unwrap());
+            for place in 20..30 {
+                robot.see(place, 0);
+                robot.see(place, 0);
+            }
+            retrieved(&mut robot.recogniser, 20)
+        });
+        let lead = scores.map(|found| {
+            assert_eq!(found[0].0, PlaceId(0));
+            found[0].1 - found.get(1).map_or(0.0, |second| second.1)
+        });
+        assert!(lead[1] > lead[0] + 0.1, "{lead:?}");
+    }
+
+    #[test]
+    fn a_map_that_is_opened_again_grows_the_same_words() {
+        let folder = tempfile::tempdir().unwrap();
+        let options = RecognitionOptions { grow_vocabulary: true, ..no_interval() };
+        let mut robot = Robot::new(None, options.clone(), PlaceMap::open(folder.path()).unwrap());
+        for place in [20, 21, 20, 22, 23, 21, 24] {
+            robot.see(place, 0);
+        }
+        let before = retrieved(&mut robot.recogniser, 20);
+        drop(robot);
+        let mut robot = Robot::new(None, options, PlaceMap::open(folder.path()).unwrap());
+        assert_eq!(retrieved(&mut robot.recogniser, 20), before);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The bag of words of an image: a sparse vector of weighted words.
 
-use crate::vocabulary::{Vocabulary, WordId};
+use crate::vocabulary::{Vocabulary, Weighting, WordId};
 
 /// A sparse vector of L1 length 1 (or empty), sorted by word.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -9,24 +9,30 @@ pub struct BowVector {
 }
 
 impl BowVector {
-    /// The vector of an image that shows `words`, weighted as `vocabulary` says. Words that weigh nothing,
+    /// The vector of an image that shows `words`, weighted as `vocabulary` says.
+    #[must_use]
+    pub fn new(words: impl IntoIterator<Item = WordId>, vocabulary: &Vocabulary) -> Self {
+        let words = words.into_iter().map(|word| (word, vocabulary.weight(word)));
+        Self::weighted(words, vocabulary.weighting())
+    }
+
+    /// The vector of an image that shows words, each with its weight. Words that weigh nothing,
     /// such as those that every training image shows, are left out.
     ///
     /// Weights are added up and divided in the order of DBoW2, so that the same words give the same vector to
     /// the last bit (for its scorings L1, χ², KL and Bhattacharyya, which all want vectors of L1 length 1).
     #[must_use]
-    pub fn new(words: impl IntoIterator<Item = WordId>, vocabulary: &Vocabulary) -> Self {
-        let mut words: Vec<WordId> = words.into_iter().collect();
-        words.sort_unstable();
-        let counts_repetitions = vocabulary.weighting().counts_repetitions();
+    pub fn weighted(words: impl IntoIterator<Item = (WordId, f64)>, weighting: Weighting) -> Self {
+        let mut words: Vec<(WordId, f64)> = words.into_iter().collect();
+        words.sort_unstable_by_key(|word| word.0);
         let mut entries = Vec::with_capacity(words.len());
-        for run in words.chunk_by(|a, b| a == b) {
-            let weight = vocabulary.weight(run[0]);
-            let repetitions = if counts_repetitions { run.len() } else { 1 };
+        for run in words.chunk_by(|a, b| a.0 == b.0) {
+            let (word, weight) = run[0];
+            let repetitions = if weighting.counts_repetitions() { run.len() } else { 1 };
             // A sum, not a product: the rounding differs.
             let value = (1..repetitions).fold(weight, |sum, _| sum + weight);
             if value > 0.0 {
-                entries.push((run[0], value));
+                entries.push((word, value));
             }
         }
         let length: f64 = entries.iter().map(|entry| entry.1).sum();

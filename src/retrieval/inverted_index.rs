@@ -48,6 +48,18 @@ impl InvertedIndex {
         DocumentId(document)
     }
 
+    /// From now on, what was indexed as `word` counts as `other`, with the weight that it has.
+    pub fn merge(&mut self, word: WordId, other: WordId) {
+        let Some(moved) = self.postings.remove(&word) else { return };
+        let postings = self.postings.entry(other).or_default();
+        for posting in moved {
+            match postings.binary_search_by_key(&posting.document, |known| known.document) {
+                Ok(position) => postings[position].weight += posting.weight,
+                Err(position) => postings.insert(position, posting),
+            }
+        }
+    }
+
     /// Number of indexed images.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -109,7 +121,7 @@ fn insert_sorted(best: &mut FixedVec<Retrieved, MAX_RETRIEVED>, next: Retrieved)
 mod tests {
     use super::*;
     use crate::feature::Descriptor;
-    use crate::vocabulary::{TrainingOptions, Vocabulary, train};
+    use crate::vocabulary::{TrainingOptions, Vocabulary, Weighting, train};
     use proptest::prelude::*;
 
     fn vocabulary() -> Vocabulary {
@@ -152,6 +164,25 @@ mod tests {
                     prop_assert!((found.score - expected.0).abs() < 1e-5);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_merged_word_counts_as_if_it_had_been_the_other_one_from_the_start() {
+        let weighted = |words: &[u32]| {
+            BowVector::weighted(words.iter().map(|&word| (WordId(word), 1.0)), Weighting::TfIdf)
+        };
+        let images: [&[u32]; 4] = [&[1, 2, 3], &[9, 2, 3], &[1, 9, 9], &[9]];
+        let (mut merged, mut expected) = (InvertedIndex::default(), InvertedIndex::default());
+        for image in images {
+            merged.add(&weighted(image));
+            let renamed: Vec<u32> = image.iter().map(|&word| if word == 9 { 1 } else { word }).collect();
+            expected.add(&weighted(&renamed));
+        }
+        merged.merge(WordId(9), WordId(1));
+        merged.merge(WordId(7), WordId(1));
+        for query in [&[1_u32] as &[u32], &[1, 1, 2], &[2, 3], &[9]] {
+            assert_eq!(merged.query(&weighted(query), |_| true), expected.query(&weighted(query), |_| true));
         }
     }
 

@@ -5,12 +5,14 @@
 //! it ends in is its visual word. A word weighs the more the fewer training images showed it.
 
 mod format;
+mod grown_words;
 pub mod import;
 mod set;
 mod training;
 mod tree;
 mod version_1;
 
+pub use grown_words::{GrownWords, Offshoot};
 pub use set::{ConditionId, Light, LightSwitch, VocabularySet};
 pub use training::{
     Corpus, CorpusImage, MemoryCorpus, Trained, TrainingFile, TrainingOptions, TrainingProgress, train,

@@ -111,7 +111,8 @@ fn a_vocabulary_of_another_library_is_named_with_the_command_that_imports_it() {
     loci(&["vocab", "info", text(&path)])
         .assert_failed(1, &["ORBvoc.txt", "ORB-SLAM text vocabulary", "`loci vocab import`"]);
     let out = folder.path().join("out.lvoc");
-    loci(&["vocab", "import", text(&path), "--out", text(&out)]).assert_failed(1, &["it holds no tree"]);
+    loci(&["vocab", "import", text(&path), "--out", text(&out)])
+        .assert_failed(1, &["nothing hangs from its root"]);
     assert!(!out.exists());
 }
 

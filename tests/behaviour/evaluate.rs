@@ -187,9 +187,12 @@ fn a_suite_writes_its_figures_and_a_page_that_needs_no_network() {
     let (page, markdown) = (drive.path().join("r.html"), drive.path().join("B.md"));
     let arguments =
         ["evaluate", "--suite", text(&suite), "--report", text(&page), "--markdown", text(&markdown)];
+    let by_hand = "\n<!-- From here on written by hand: `loci evaluate` keeps it. -->\n\nOur benches.\n";
+    fs::write(&markdown, format!("yesterday's figures{by_hand}")).unwrap();
     let run = loci(&arguments);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let markdown = fs::read_to_string(markdown).unwrap();
+    assert!(markdown.ends_with(by_hand) && !markdown.contains("yesterday"), "{markdown}");
     for part in [r"Two \<laps>", "cnn+bow_hv", "guessing", "R@1 0.04"] {
         assert!(markdown.contains(part), "no {part} in {markdown}");
     }

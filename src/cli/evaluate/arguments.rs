@@ -145,6 +145,10 @@ struct SettingArguments {
     /// δ_ep: processed frames that join a place unasked after its founding [default: 5]
     #[arg(long, env = "LOCI_PLACE_INTERVAL", value_name = "N")]
     place_interval: Option<u32>,
+    /// Learn words online where the vocabulary covers what is seen badly; the map does, frames do not
+    #[arg(long, env = "LOCI_GROW_VOCABULARY", num_args = 0..=1, require_equals = true,
+          default_missing_value = "true", value_name = "BOOL")]
+    grow_vocabulary: Option<bool>,
     /// Threads of the CNN [default: 1]
     #[arg(long, env = "LOCI_THREADS", value_name = "N")]
     threads: Option<NonZero<u32>>,
@@ -183,6 +187,7 @@ impl EvaluateArguments {
             onnxruntime: self.settings.onnxruntime.clone(),
             sample_interval: self.frames.sample_interval,
             place_interval: self.settings.place_interval,
+            grow_vocabulary: self.settings.grow_vocabulary,
             threads: self.settings.threads,
             ..StreamSettings::default()
         };

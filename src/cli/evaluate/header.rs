@@ -54,6 +54,7 @@ fn setting_values(
         ("orb.fallback_threshold", orb.fallback_threshold.to_string()),
         ("orb.min_width_px", orb.min_width_px.to_string()),
         ("place_interval", recognition.place_interval.to_string()),
+        ("grow_vocabulary", recognition.grow_vocabulary.to_string()),
         ("min_inliers", recognition.min_inliers.to_string()),
         ("retrieval.max_retrieved", MAX_RETRIEVED.to_string()),
         ("verification.loose_tolerance", verification.loose_tolerance.to_string()),

@@ -3,7 +3,8 @@
 mod arguments;
 mod header;
 
-use std::io::Write;
+use std::fs::File;
+use std::io::{Read, Write};
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -26,6 +27,11 @@ use super::{Outcome, WrongArgument, assets, stream};
 
 /// Where the figures of the shipped suite go by default.
 const BENCHMARKS: &str = "BENCHMARKS.md";
+
+/// The line that a part of BENCHMARKS.md begins with that people write: a new report leaves it as it is.
+const KEPT: &str = "\n<!-- From here on written by hand: `loci evaluate` keeps it. -->\n";
+/// Bytes of a file in which such a part is looked for.
+const MAX_KEPT_BYTES: u64 = 1 << 24;
 
 /// Runs the experiments and says what came of them.
 pub(super) fn run(arguments: EvaluateArguments) -> anyhow::Result<Outcome> {
@@ -146,7 +152,8 @@ impl<'a> OutputFiles<'a> {
             anyhow::Ok(())
         };
         write(self.report, &|| Ok(report::html(report)?.into_bytes()))?;
-        write(self.markdown, &|| Ok(report::markdown(report).into_bytes()))?;
+        let kept = self.markdown.map(kept).unwrap_or_default();
+        write(self.markdown, &|| Ok((report::markdown(report) + &kept).into_bytes()))?;
         write(self.answers, &|| Ok(report::answers_csv(report)?))?;
         let text = match (as_json, self.markdown) {
             (true, _) => report::json(report)?,
@@ -154,6 +161,16 @@ impl<'a> OutputFiles<'a> {
             (false, Some(_)) => return Ok(()),
         };
         std::io::stdout().write_all(text.as_bytes()).context("cannot write the report to stdout")
+    }
+}
+
+/// The part of the report at `path`, if there is one already, that people wrote.
+fn kept(path: &Path) -> String {
+    let mut text = String::new();
+    let read = File::open(path).and_then(|file| file.take(MAX_KEPT_BYTES).read_to_string(&mut text));
+    match (read, text.find(KEPT)) {
+        (Ok(_), Some(start)) => text.split_off(start),
+        _ => String::new(),
     }
 }
 

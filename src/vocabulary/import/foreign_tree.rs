@@ -128,7 +128,7 @@ impl ForeignTree {
             .find(|&node| words[node as usize] == NONE && children.of_node(node).is_empty());
         match bare {
             Some(node) => Err(Fault::in_tree(format!("leaf {node} has no word"))),
-            None if self.nodes.is_empty() => Err(Fault::in_tree("it holds no tree")),
+            None if children.of_node(0).is_empty() => Err(Fault::in_tree("nothing hangs from its root")),
             None => Ok(words),
         }
     }

@@ -153,6 +153,14 @@ fn a_tree_that_bites_its_tail_is_refused() {
 }
 
 #[test]
+fn a_tree_that_floats_beside_its_root_is_refused() {
+    // The children of the root become those of node 1, which is one of them.
+    let file = yaml_text().replace("parentId:0,", "parentId:1,");
+    assert!(file != yaml_text());
+    assert!(message(file.as_bytes()).contains("nothing hangs from its root"), "{}", message(file.as_bytes()));
+}
+
+#[test]
 fn a_line_without_end_takes_no_memory() {
     let mut text = "8 3 0 0\n".to_owned();
     write!(text, "{}", "0 ".repeat(1 << 20)).unwrap();
