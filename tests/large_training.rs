@@ -49,7 +49,7 @@ fn a_hundred_million_descriptors_need_less_than_four_gibibytes() {
     );
     assert_eq!(trained.descriptors, 100_000_000);
     assert_eq!(trained.sampled_descriptors, options.most_descriptors);
-    // An eighth of 256 bits is 32: a kind is found again unless the tree takes a wrong turn.
-    assert!(trained.mean_distortion_bits < 40.0);
+    // A descriptor lies 32 bits from its kind and 128 from the others: most must end near their kind.
+    assert!(trained.mean_distortion_bits < 64.0);
     assert!(peak_kib < MOST_KIB, "{peak_kib} KiB");
 }

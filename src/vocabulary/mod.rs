@@ -16,7 +16,7 @@ pub use grown_words::{GrownWords, Offshoot};
 pub use set::{ConditionId, Light, LightSwitch, VocabularySet};
 pub use training::{
     Corpus, CorpusImage, MemoryCorpus, Trained, TrainingFile, TrainingOptions, TrainingProgress, train,
-    train_on,
+    train_on, weigh_on,
 };
 pub use tree::{Quantised, Vocabulary};
 

@@ -106,7 +106,7 @@ fn check_light(members: &[(PathBuf, Vocabulary)]) -> Result<(), VocabularyError>
     for (index, (path, vocabulary)) in members.iter().enumerate() {
         let Some(luminance) = vocabulary.luminance() else {
             return bad(format!(
-                "{} does not say under which light it was trained: train it with this Loci",
+                "{} does not say under which light it was trained: `loci vocab import --weights-from IMAGES` learns it",
                 path.display()
             ));
         };

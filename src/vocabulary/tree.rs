@@ -87,6 +87,19 @@ impl Vocabulary {
         replace_file(path, &[&self.bytes])
     }
 
+    /// The same tree with tf-idf `weights`, one a word, learnt from `images` of that mean luminance.
+    pub(super) fn weighted(
+        &self,
+        (images, luminance): (u32, Option<f32>),
+        weights: &[f64],
+    ) -> Result<Self, VocabularyError> {
+        let counts = Counts { images, luminance, weighting: Weighting::TfIdf, ..self.counts };
+        let tables = self.tables();
+        let links: Vec<Link> = tables.links.iter().copied().map(Link::from_bytes).collect();
+        let file = format::encode(&counts, tables.descriptors, &links, weights);
+        Self::from_bytes(file, Path::new("the weighted vocabulary"))
+    }
+
     /// Most children a node.
     #[must_use]
     pub fn branching(&self) -> u32 {

@@ -96,6 +96,24 @@ fn a_vocabulary_of_dbow2_is_imported_and_used() {
 }
 
 #[test]
+fn a_vocabulary_without_weights_learns_them_from_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("orb.lvoc");
+    let fbow = "tests/data/vocabulary/orb_k8_l3.fbow";
+    let weigh = |images: &str| {
+        loci(&["vocab", "import", fbow, "--weights-from", images, "--out", text(&path), "--json"])
+    };
+    let weighed = weigh("synthetic:street?laps=1&frames=3");
+    assert_eq!(weighed.code, 0, "{}", weighed.stderr);
+    let info = &weighed.records()[0];
+    assert_eq!((&info["images"], &info["weighting"]), (&3.into(), &"tf-idf".into()));
+    assert!((1..512).contains(&info["weightless_words"].as_u64().unwrap()), "{info}");
+    assert!(info["mean_luminance"].as_f64().unwrap() > 20.0, "{info}");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
+    weigh(text(folder.path())).assert_failed(1, &[text(folder.path())]);
+}
+
+#[test]
 fn the_demo_tells_a_newcomer_what_happened() {
     let demo = loci(&["demo"]);
     assert_eq!(demo.code, 0, "{}", demo.stderr);

@@ -1,14 +1,18 @@
 //! `loci vocab`: train, import and inspect visual vocabularies.
 
+mod extraction;
 mod train;
 
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
+use indicatif::ProgressDrawTarget;
 use loci::storage::check_replaceable;
-use loci::vocabulary::{self, Vocabulary, WordId};
+use loci::vocabulary::{self, Corpus, TrainingProgress, Vocabulary, WordId, weigh_on};
 use serde::Serialize;
 
+use self::extraction::extract;
+use super::console::progress_bar;
 use super::{Anything, Outcome, not_built};
 
 /// Commands of `loci vocab`.
@@ -26,10 +30,14 @@ pub(super) enum VocabCommand {
 
 /// Arguments of `loci vocab import`.
 #[derive(Args)]
-#[command(after_help = "Example:\n  loci vocab import ORBvoc.txt --out orb.lvoc")]
+#[command(after_help = "Examples:\n  loci vocab import ORBvoc.txt --out orb.lvoc\n  \
+    loci vocab import orb.fbow --weights-from photos/hall --out hall.lvoc")]
 pub(super) struct ImportArguments {
     /// ORB-SLAM text, DBoW2 YAML (.yml, .yml.gz), DBoW3 binary, FBoW, or an older .lvoc
     file: PathBuf,
+    /// Weigh the words anew by how many of these images show them: folders, videos, synthetic:… worlds
+    #[arg(long, value_name = "IMAGES", num_args = 1..)]
+    weights_from: Vec<String>,
     /// File to write
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -82,13 +90,34 @@ pub(super) fn run(command: VocabCommand) -> anyhow::Result<Outcome> {
 
 fn import(arguments: &ImportArguments) -> anyhow::Result<Outcome> {
     check_replaceable(&arguments.out)?;
-    let (format, vocabulary) = vocabulary::import::import(&arguments.file)?;
-    vocabulary.save(&arguments.out)?;
+    let (format, mut vocabulary) = vocabulary::import::import(&arguments.file)?;
+    let mut outcome = Outcome::Done;
+    if arguments.weights_from.is_empty() {
+        vocabulary.save(&arguments.out)?;
+    } else {
+        (vocabulary, outcome) = weigh(&vocabulary, arguments)?;
+    }
     if !arguments.json {
         println!("imported    {} ({})", arguments.file.display(), format.as_str());
     }
     print(&describe(&vocabulary, arguments.out.display().to_string(), true), arguments.json)?;
-    Ok(Outcome::Done)
+    Ok(outcome)
+}
+
+/// Saves `vocabulary` with weights from the images that were named.
+fn weigh(vocabulary: &Vocabulary, arguments: &ImportArguments) -> anyhow::Result<(Vocabulary, Outcome)> {
+    let corpus = extract(&arguments.weights_from, &arguments.out)?;
+    let bar = progress_bar(Some(corpus.image_count()), "images weighed", ProgressDrawTarget::stderr());
+    let weighted = weigh_on(vocabulary, &corpus, &|progress| {
+        if let TrainingProgress::Weighing { done, .. } = progress {
+            bar.set_position(done);
+        }
+    })?;
+    bar.finish_and_clear();
+    weighted.save(&arguments.out)?;
+    let outcome = if corpus.frame_count() == corpus.image_count() { Outcome::Done } else { Outcome::Lost };
+    corpus.remove()?;
+    Ok((weighted, outcome))
 }
 
 fn info(arguments: &InfoArguments) -> anyhow::Result<Outcome> {

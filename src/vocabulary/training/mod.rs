@@ -16,6 +16,7 @@ pub use corpus::{Corpus, CorpusImage, MemoryCorpus, TrainingFile};
 
 use std::path::Path;
 
+use self::word_statistics::WordStatistics;
 use super::format::{self, Counts};
 use super::{Vocabulary, VocabularyError, Weighting};
 use crate::feature::Descriptor;
@@ -122,18 +123,15 @@ pub fn train_on(
         depth,
         nodes: tree.links.len() as u32,
         words: tree.words,
-        images: u32::try_from(corpus.image_count()).unwrap_or(u32::MAX),
+        images: 0,
         weighting: Weighting::TfIdf,
-        luminance: corpus.mean_luminance(),
+        luminance: None,
     };
-    let file = |weights: &[f64]| {
-        let file = format::encode(&counts, &tree.centres, &tree.links, weights);
-        Vocabulary::from_bytes(file, Path::new("the trained vocabulary"))
-    };
-    let unweighted = file(&vec![0.0; tree.words as usize])?;
+    let file = format::encode(&counts, &tree.centres, &tree.links, &vec![0.0; tree.words as usize]);
+    let unweighted = Vocabulary::from_bytes(file, Path::new("the trained vocabulary"))?;
     let statistics = word_statistics::count(&unweighted, corpus, watch)?;
     Ok(Trained {
-        vocabulary: file(&statistics.inverse_document_frequencies())?,
+        vocabulary: weighted(&unweighted, corpus, &statistics)?,
         descriptors: corpus.descriptor_count(),
         sampled_descriptors,
         empty_words: statistics.empty_words(),
@@ -141,6 +139,31 @@ pub fn train_on(
         max_occupancy: statistics.max_occupancy(),
         mean_distortion_bits: statistics.mean_distortion_bits(),
     })
+}
+
+/// The tree of `vocabulary` with the tf-idf weights that its words have in `corpus`: a vocabulary that came
+/// without weights, or from other surroundings, learns which words are rare here.
+///
+/// # Errors
+/// If there is no descriptor at all, or the corpus cannot be read.
+pub fn weigh_on(
+    vocabulary: &Vocabulary,
+    corpus: &dyn Corpus,
+    watch: &(dyn Fn(TrainingProgress) + Sync),
+) -> Result<Vocabulary, VocabularyError> {
+    if corpus.descriptor_count() == 0 {
+        return Err(VocabularyError::NothingToLearn);
+    }
+    weighted(vocabulary, corpus, &word_statistics::count(vocabulary, corpus, watch)?)
+}
+
+fn weighted(
+    vocabulary: &Vocabulary,
+    corpus: &dyn Corpus,
+    statistics: &WordStatistics,
+) -> Result<Vocabulary, VocabularyError> {
+    let images = u32::try_from(corpus.image_count()).unwrap_or(u32::MAX);
+    vocabulary.weighted((images, corpus.mean_luminance()), &statistics.inverse_document_frequencies())
 }
 
 #[cfg(test)]
@@ -213,6 +236,24 @@ mod tests {
         assert_eq!(vocabulary.weight(vocabulary.quantise(&common).word), 0.0);
         assert_eq!(vocabulary.weight(vocabulary.quantise(&rare).word), 2.0_f64.ln());
         assert_eq!(vocabulary.weight(crate::vocabulary::WordId(99)), 0.0);
+    }
+
+    #[test]
+    fn words_are_weighed_on_other_images_without_a_change_of_the_tree() {
+        let vocabulary = train(&images(20, 1), options(5, 3)).unwrap();
+        let others = images(31, 1);
+        let corpus = MemoryCorpus { images: &others, mean_luminance: Some(70.0) };
+        let weighed = weigh_on(&vocabulary, &corpus, &|_| {}).unwrap();
+        assert_eq!((weighed.image_count(), weighed.luminance()), (31, Some(70.0)));
+        let shown = |image: &[Descriptor], word| image.iter().any(|d| vocabulary.quantise(d).word == word);
+        for descriptor in &others[0] {
+            let quantised = vocabulary.quantise(descriptor);
+            assert_eq!(weighed.quantise(descriptor), quantised);
+            let images_with = others.iter().filter(|image| shown(image, quantised.word)).count();
+            assert_eq!(weighed.weight(quantised.word), (31.0 / images_with as f64).ln());
+        }
+        let nothing = MemoryCorpus::from(&[][..]);
+        assert!(matches!(weigh_on(&vocabulary, &nothing, &|_| {}), Err(VocabularyError::NothingToLearn)));
     }
 
     #[test]
