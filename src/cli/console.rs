@@ -1,14 +1,25 @@
-//! What a person at the terminal sees of a stream: a line a frame, a progress bar, a summary.
+//! What a person at the terminal sees: lines, and of a stream a line a frame, a progress bar, a summary.
 
 use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
+use anyhow::Context;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use loci::cnn::CnnError;
 use loci::pipeline::{RunSummary, Watcher};
 use loci::recognition::Decision;
 use loci::source::SourceError;
 use loci::telemetry::{FrameRecord, RecognitionSink, TelemetryError};
+
+/// Writes a line to stdout. Whoever reads it may have seen enough and gone: that is no failure.
+pub(super) fn say(line: &str) -> anyhow::Result<()> {
+    match writeln!(io::stdout(), "{line}") {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(error).context("cannot write to stdout")
+        }
+        _ => Ok(()),
+    }
+}
 
 /// Writes a line a frame for people.
 pub(super) struct HumanLines<W>(pub(super) W);

@@ -9,6 +9,7 @@ use loci::raster::RgbImage;
 use loci::vocabulary::{Vocabulary, VocabularySet};
 use serde::Serialize;
 
+use super::console::say;
 use super::settings::StreamSettings;
 use super::{Outcome, assets};
 
@@ -52,7 +53,7 @@ impl Finding {
 pub(super) fn run(arguments: DoctorArguments) -> anyhow::Result<Outcome> {
     let findings = findings(&arguments.settings);
     if arguments.json {
-        println!("{}", serde_json::to_string(&findings)?);
+        say(&serde_json::to_string(&findings)?)?;
     } else {
         for finding in &findings {
             let health = match finding.health {
@@ -60,7 +61,7 @@ pub(super) fn run(arguments: DoctorArguments) -> anyhow::Result<Outcome> {
                 Health::Warn => "warn",
                 Health::Fail => "FAIL",
             };
-            println!("{health:<5} {:<13} {}", finding.part, finding.detail);
+            say(&format!("{health:<5} {:<13} {}", finding.part, finding.detail))?;
         }
     }
     let failed = findings.iter().filter(|finding| finding.health == Health::Fail).count();

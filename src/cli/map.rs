@@ -6,6 +6,7 @@ use clap::{Args, Subcommand};
 use loci::place_map::PlaceMap;
 use serde::Serialize;
 
+use super::console::say;
 use super::{Anything, Outcome, not_built};
 
 /// Commands of `loci map`.
@@ -72,14 +73,14 @@ fn info(arguments: &InfoArguments) -> anyhow::Result<Outcome> {
         models: summary.models,
     };
     if arguments.json {
-        println!("{}", serde_json::to_string(&info)?);
+        say(&serde_json::to_string(&info)?)?;
     } else {
-        println!("map          {}", arguments.map.display());
-        println!("places       {} ({} named)", info.places, info.named_places);
-        println!("experiences  {} ({} keyframes)", info.experiences, info.keyframes);
-        println!("journal      {} bytes", info.journal_bytes);
+        say(&format!("map          {}", arguments.map.display()))?;
+        say(&format!("places       {} ({} named)", info.places, info.named_places))?;
+        say(&format!("experiences  {} ({} keyframes)", info.experiences, info.keyframes))?;
+        say(&format!("journal      {} bytes", info.journal_bytes))?;
         for model in &info.models {
-            println!("CNN model    {model}");
+            say(&format!("CNN model    {model}"))?;
         }
     }
     if info.torn_bytes == 0 {

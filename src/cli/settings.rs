@@ -3,9 +3,10 @@
 //! Flags and variables come through clap. The file has the same keys as the flags have names, and an
 //! unknown key is refused.
 
-use std::fs;
+use std::ffi::OsString;
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
+use std::{env, fs};
 
 use clap::Args;
 use serde::Deserialize;
@@ -19,8 +20,8 @@ pub(super) struct StreamSettings {
     /// Folder of the map; made if need be. Without it the map is gone at the end
     #[arg(long, env = "LOCI_MAP", value_name = "DIR")]
     pub(super) map: Option<PathBuf>,
-    /// Visual vocabulary; given again, a set that is switched by light [default: vocab/default.lvoc]
-    #[arg(long, env = "LOCI_VOCAB", value_name = "FILE", value_delimiter = ',')]
+    /// Visual vocabulary; given again, a set that is switched by light [env: LOCI_VOCAB=] [default: vocab/default.lvoc]
+    #[arg(long, value_name = "FILE")]
     pub(super) vocab: Vec<PathBuf>,
     /// Folder of the CNN with its card [default: models/efficientnet-lite0]
     #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]
@@ -51,8 +52,11 @@ pub(super) struct StreamSettings {
 }
 
 impl StreamSettings {
-    /// These settings, completed from the file at `config`, if there is one.
-    pub(super) fn completed(self, config: Option<&Path>) -> anyhow::Result<Self> {
+    /// These settings, completed from the environment and the file at `config`, if there is one.
+    pub(super) fn completed(mut self, config: Option<&Path>) -> anyhow::Result<Self> {
+        if self.vocab.is_empty() {
+            self.vocab = vocabularies_in(env::var_os("LOCI_VOCAB"));
+        }
         let Some(path) = config else { return Ok(self) };
         let text = fs::read_to_string(path)
             .map_err(|error| WrongArgument(format!("cannot read --config {}: {error}", path.display())))?;
@@ -77,6 +81,12 @@ impl StreamSettings {
     }
 }
 
+/// The files that a variable names, parted like those of PATH: clap would part those of flags, too.
+fn vocabularies_in(variable: Option<OsString>) -> Vec<PathBuf> {
+    let names = variable.iter().flat_map(env::split_paths);
+    names.filter(|name| !name.as_os_str().is_empty()).collect()
+}
+
 fn one_line(error: &toml::de::Error) -> String {
     error.message().split_whitespace().collect::<Vec<_>>().join(" ")
 }
@@ -99,6 +109,13 @@ mod tests {
         assert_eq!(settings.place_interval, Some(9));
         assert_eq!(settings.threads, NonZero::new(2));
         assert_eq!(settings.read_only, Some(true));
+    }
+
+    #[test]
+    fn a_variable_names_several_vocabularies_as_path_names_folders() {
+        let names = |variable: &str| vocabularies_in(Some(variable.into()));
+        assert_eq!(names("day.lvoc:a,b/night.lvoc"), ["day.lvoc", "a,b/night.lvoc"].map(PathBuf::from));
+        assert!(names("").is_empty() && vocabularies_in(None).is_empty());
     }
 
     #[test]

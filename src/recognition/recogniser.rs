@@ -324,8 +324,8 @@ impl Recogniser {
         !known_by_cnn
     }
 
-    /// Whether the place has no keyframe of the condition yet: a place first seen by day is to be known by
-    /// night once it was seen by night.
+    /// Whether the place has no keyframe that may count as the condition yet: a place first seen by day is to
+    /// be known by night once it was seen by night.
     fn is_in_new_light(&self, place: PlaceId, light: Light) -> bool {
         let vocabularies = self.keyframes.vocabularies();
         if vocabularies.conditions().count() == 1 {
@@ -335,7 +335,7 @@ impl Recogniser {
         let lights = experiences
             .filter_map(|&id| self.map.experience(id))
             .filter_map(|experience| experience.keyframe.as_ref().and(experience.mean_luminance));
-        !lights.map(|luminance| vocabularies.nearest(luminance)).any(|known| known == light.condition)
+        !lights.into_iter().any(|luminance| vocabularies.may_count_as(light.condition, luminance))
     }
 
     fn learn(
@@ -402,7 +402,7 @@ mod tests {
     use crate::feature::{Descriptor, Keypoint};
     use crate::geometry::Point;
     use crate::raster::{GreyImage, RgbImage};
-    use crate::vocabulary::{MemoryCorpus, TrainingOptions, train, train_on};
+    use crate::vocabulary::{LightSwitch, MemoryCorpus, TrainingOptions, train, train_on};
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64;
 
@@ -447,6 +447,7 @@ mod tests {
     /// A robot in a made-up world.
     struct Robot {
         recogniser: Recogniser,
+        light: LightSwitch,
         frames: u64,
     }
 
@@ -456,7 +457,8 @@ mod tests {
             let vocabulary =
                 train(&images, TrainingOptions { branching: 6, depth: 3, ..TrainingOptions::default() })
                     .unwrap();
-            Self { recogniser: Recogniser::new(Arc::new(vocabulary.into()), map, model, options), frames: 0 }
+            let recogniser = Recogniser::new(Arc::new(vocabulary.into()), map, model, options);
+            Self { recogniser, light: LightSwitch::default(), frames: 0 }
         }
 
         fn with_cnn() -> Self {
@@ -477,7 +479,8 @@ mod tests {
             };
             let set = VocabularySet::new(vec![vocabulary(0..8, 120.0), vocabulary(100..108, 40.0)]).unwrap();
             let map = PlaceMap::in_memory().unwrap();
-            Self { recogniser: Recogniser::new(Arc::new(set), map, Some(card()), no_interval()), frames: 0 }
+            let recogniser = Recogniser::new(Arc::new(set), map, Some(card()), no_interval());
+            Self { recogniser, light: LightSwitch::default(), frames: 0 }
         }
 
         /// Looks at the features of one place and the CNN descriptor of a look, if there is a CNN.
@@ -500,7 +503,7 @@ mod tests {
             self.frames += 1;
             let appearance = self.recogniser.has_cnn().then(|| appearance(look));
             let vocabularies = self.recogniser.vocabularies();
-            let light = Light { mean_luminance, condition: vocabularies.nearest(mean_luminance) };
+            let light = self.light.follow(vocabularies, mean_luminance);
             let look = Look::new(features(place), (vocabularies, light), appearance);
             self.recogniser.recognise(&frame, &look, Vec::new).unwrap()
         }
@@ -603,6 +606,17 @@ mod tests {
             robot.see_in(luminance, 100, 0);
         }
         assert_eq!(robot.keyframes(), keyframes);
+    }
+
+    #[test]
+    fn dusk_at_the_border_of_two_conditions_brings_one_keyframe() {
+        let mut robot = Robot::by_day_and_night();
+        robot.see_in(40.0, 7, 15);
+        for _ in 0..20 {
+            // Nearer to the day, but counted as night as long as the night was before.
+            robot.see_in(82.0, 0, 0);
+        }
+        assert_eq!(robot.keyframes(), 2);
     }
 
     /// Indices of the BoW candidates' places and their scores, for the features of one place.

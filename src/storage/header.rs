@@ -62,6 +62,10 @@ impl FileKind {
             let (path, kind) = (path.to_owned(), self.name);
             return Err(StorageError::TooNew { path, kind, got: version, newest: self.version });
         }
+        if version == 0 || header[24..] != [0; 8] {
+            let reason = "its header holds what no version has".to_owned();
+            return Err(StorageError::Damaged { path: path.to_owned(), reason });
+        }
         let expected = u64::from(field_u32(header, 16)) | u64::from(field_u32(header, 20)) << 32;
         if body.len() as u64 != expected {
             let reason = format!("expected {expected} bytes after the header, got {}", body.len());
@@ -119,6 +123,11 @@ mod tests {
         assert!(message(KIND.body(&[7; 100], path)).contains("does not begin as one"));
         assert!(message(KIND.body(&file(newer, b""), path)).contains("update Loci"));
         assert!(message(KIND.body(cut, path)).contains("expected 3 bytes after the header, got 2"));
+        for (offset, value) in [(8, 0), (24, 1), (31, 128)] {
+            let mut odd = file(KIND, b"abc");
+            odd[offset] = value;
+            assert!(message(KIND.body(&odd, path)).contains("what no version has"));
+        }
     }
 
     #[test]

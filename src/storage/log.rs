@@ -6,7 +6,7 @@
 //! When power fails during an append the last record is torn; opening the log cuts it off and says
 //! so. A record that is bad in the middle of the log is damage, never cut in silence.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
@@ -74,6 +74,20 @@ impl FileLog {
             options.append(true).create(true);
         }
         options.open(path).map(Self).map_err(StorageError::io("open", path))
+    }
+
+    /// Keeps other processes from locking the file until this one closes it.
+    ///
+    /// # Errors
+    /// If another one holds it; `path` serves the message.
+    pub fn lock(self, path: &Path) -> Result<Self, StorageError> {
+        match self.0.try_lock() {
+            Ok(()) => Ok(self),
+            Err(TryLockError::WouldBlock) => {
+                Err(StorageError::io("lock", path)(io::Error::other("another process is writing it")))
+            }
+            Err(TryLockError::Error(source)) => Err(StorageError::io("lock", path)(source)),
+        }
     }
 }
 

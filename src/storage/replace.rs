@@ -26,7 +26,7 @@ pub fn replace_file(path: &Path, parts: &[&[u8]]) -> Result<(), StorageError> {
 }
 
 /// Fails as [`replace_file`] would where the folder is missing or may not be written to, before there is
-/// anything to write.
+/// anything to write; and where what is there is no regular file, which must not be replaced by one.
 ///
 /// # Errors
 /// If no file can be put at `path`.
@@ -34,6 +34,9 @@ pub fn check_replaceable(path: &Path) -> Result<(), StorageError> {
     let error = |source| StorageError::Io { action: "write", path: path.to_owned(), source };
     if path.is_dir() {
         return Err(error(std::io::ErrorKind::IsADirectory.into()));
+    }
+    if path.exists() && !path.is_file() {
+        return Err(error(std::io::Error::other("it is a device or a pipe, not a file")));
     }
     let beside = beside(path);
     File::create(&beside).and_then(|_| fs::remove_file(&beside)).map_err(error)

@@ -155,7 +155,9 @@ pub(super) fn check(file: &[u8], body: &[u8], path: &Path) -> Result<Counts, Voc
         return Err(damaged(reason).into());
     }
     let is_tree = (1..=MAX_NODES).contains(&counts.nodes) && counts.words > 0;
-    if !is_tree || !(1..=MAX_DEPTH).contains(&counts.depth) {
+    let has_shape =
+        (1..=MAX_DEPTH).contains(&counts.depth) && (1..=MAX_BRANCHING).contains(&counts.branching);
+    if !is_tree || !has_shape {
         return Err(damaged("it holds no tree".to_owned()).into());
     }
     let links = counts.tables(file).links;

@@ -93,7 +93,7 @@ pub enum VocabularyError {
         reason: String,
     },
     /// The file is one that can be imported, but was not.
-    #[error("{} is a {format}: turn it into a .lvoc file with `loci vocab import`", path.display())]
+    #[error("{} is another library's ({format}): turn it into a .lvoc file with `loci vocab import`", path.display())]
     NotImported {
         /// The file.
         path: PathBuf,
@@ -101,7 +101,7 @@ pub enum VocabularyError {
         format: &'static str,
     },
     /// A foreign file does not hold what its kind says.
-    #[error("{} is a damaged {format}: at {place}: {reason}", path.display())]
+    #[error("{} is damaged ({format}): at {place}: {reason}", path.display())]
     Malformed {
         /// The file.
         path: PathBuf,
@@ -113,10 +113,20 @@ pub enum VocabularyError {
         reason: String,
     },
     /// A training was cut off, and another one wants its file.
-    #[error("{} is of other images: delete it, or train them to its end first", path.display())]
+    #[error(
+        "{} is what a training of other images left behind: delete it, or name another --out", path.display()
+    )]
     OtherImages {
         /// The file.
         path: PathBuf,
+    },
+    /// The file of a training that was cut off is damaged. It has no copy and needs none.
+    #[error("{} is damaged: {reason}; delete it, and the training begins anew", path.display())]
+    DamagedTraining {
+        /// The file.
+        path: PathBuf,
+        /// What does not fit, and where.
+        reason: String,
     },
     /// Nothing to learn from.
     #[error("no features in the training images: use sharper or larger ones")]

@@ -43,7 +43,7 @@ impl VocabularySet {
     ///
     /// # Errors
     /// If one cannot be opened; or if of several one does not say under which light it was trained, or two
-    /// were trained under the same.
+    /// were trained under light so alike that none would ever be switched to.
     pub fn open(paths: &[PathBuf]) -> Result<Self, VocabularyError> {
         let mut members = Vec::new();
         for path in paths {
@@ -95,6 +95,14 @@ impl VocabularySet {
         nearest.unwrap_or_default()
     }
 
+    /// Whether a frame of `mean_luminance` may count as `condition`, depending on the frames before it.
+    #[must_use]
+    pub fn may_count_as(&self, condition: ConditionId, mean_luminance: f32) -> bool {
+        let nearest = self.nearest(mean_luminance);
+        let margin = self.distance(condition, mean_luminance) - self.distance(nearest, mean_luminance);
+        margin <= HYSTERESIS_LUMINANCE
+    }
+
     fn distance(&self, condition: ConditionId, mean_luminance: f32) -> f32 {
         let of_vocabulary = self.vocabulary(condition).luminance().unwrap_or_default();
         (of_vocabulary - mean_luminance).abs()
@@ -110,9 +118,10 @@ fn check_light(members: &[(PathBuf, Vocabulary)]) -> Result<(), VocabularyError>
                 path.display()
             ));
         };
-        if let Some(twin) = members[..index].iter().find(|member| member.1.luminance() == Some(luminance)) {
+        let is_twin = |other: f32| (other - luminance).abs() <= HYSTERESIS_LUMINANCE;
+        if let Some(twin) = members[..index].iter().find(|member| member.1.luminance().is_some_and(is_twin)) {
             return bad(format!(
-                "{} and {} were trained under the same light",
+                "{} and {} were trained under the same light, or nearly so",
                 twin.0.display(),
                 path.display()
             ));
@@ -130,16 +139,8 @@ pub struct LightSwitch {
 impl LightSwitch {
     /// The light of the next frame. The condition changes only where another one fits clearly better.
     pub fn follow(&mut self, set: &VocabularySet, mean_luminance: f32) -> Light {
-        let nearest = set.nearest(mean_luminance);
-        let condition = match self.current {
-            Some(current)
-                if set.distance(current, mean_luminance)
-                    <= set.distance(nearest, mean_luminance) + HYSTERESIS_LUMINANCE =>
-            {
-                current
-            }
-            _ => nearest,
-        };
+        let kept = self.current.filter(|&current| set.may_count_as(current, mean_luminance));
+        let condition = kept.unwrap_or_else(|| set.nearest(mean_luminance));
         self.current = Some(condition);
         Light { mean_luminance, condition }
     }
@@ -193,7 +194,7 @@ mod tests {
             error(vec![(day.clone(), trained_at(90.0)), (old.clone(), unlit())])
                 .contains("old.lvoc does not say")
         );
-        assert!(error(vec![(day, trained_at(90.0)), (old, trained_at(90.0))]).contains("same light"));
+        assert!(error(vec![(day, trained_at(90.0)), (old, trained_at(98.0))]).contains("same light"));
         assert!(error(vec![]).contains("0 vocabularies"));
     }
 }

@@ -34,6 +34,8 @@ pub struct Quantised {
 pub struct Vocabulary {
     bytes: FileBytes,
     counts: Counts,
+    version: u32,
+    file_bytes: usize,
 }
 
 impl Vocabulary {
@@ -61,6 +63,7 @@ impl Vocabulary {
         {
             return Err(VocabularyError::NotImported { path: path.to_owned(), format: format.as_str() });
         }
+        let file_bytes = bytes.len();
         let (version, body) = KIND.body(&bytes, path)?;
         if version < KIND.version {
             KIND.verify(&bytes, path)?;
@@ -68,7 +71,7 @@ impl Vocabulary {
             bytes = FileBytes::Owned(version_1::rewritten(body).map_err(damaged)?);
         }
         let counts = format::check(&bytes, KIND.body(&bytes, path)?.1, path)?;
-        Ok(Self { bytes, counts })
+        Ok(Self { bytes, counts, version, file_bytes })
     }
 
     /// Compares the whole file with the checksum in its header.
@@ -142,10 +145,16 @@ impl Vocabulary {
         self.counts.luminance
     }
 
-    /// Length of the file in bytes.
+    /// Length in bytes of the file that it was read from.
     #[must_use]
     pub fn length_bytes(&self) -> usize {
-        self.bytes.len()
+        self.file_bytes
+    }
+
+    /// Version of the file that it was read from.
+    #[must_use]
+    pub fn version(&self) -> u32 {
+        self.version
     }
 
     /// Weight of a word of this vocabulary, for tf-idf its inverse document frequency ln(N / Nᵢ). 0, as if

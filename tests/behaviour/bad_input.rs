@@ -1,8 +1,10 @@
 //! Bad input: one line that names the file and the fix, and never a panic.
 
 use std::fs;
+use std::os::unix::fs::FileTypeExt;
 #[cfg(feature = "cnn")]
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 use loci::raster::RgbImage;
 use loci::source::jpeg;
@@ -125,8 +127,73 @@ fn a_training_does_not_go_on_with_the_file_of_another_one() {
         loci::vocabulary::TrainingFile::open(&folder.path().join("v.lvoc.training"), "other photos").unwrap(),
     );
     train("synthetic:street?laps=1&frames=2")
-        .assert_failed(1, &["v.lvoc.training is of other images: delete it"]);
+        .assert_failed(1, &["v.lvoc.training is what a training of other images left behind: delete it"]);
     assert!(!out.exists());
+}
+
+#[test]
+fn a_training_that_is_killed_goes_on_and_ends_in_the_same_file() {
+    let folder = folder_with(&[]);
+    let path = |name: &str| folder.path().join(name);
+    let out = path("v.lvoc");
+    let train = ["vocab", "train", "synthetic:street?laps=1&frames=60", "--depth", "2", "--out"];
+    let whole = path("whole.lvoc");
+    assert_eq!(loci(&[&train[..], &[text(&whole)]].concat()).code, 0);
+
+    let mut process = Command::new(env!("CARGO_BIN_EXE_loci"));
+    let process = process.args(train).arg(&out).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut process = process.spawn().unwrap();
+    let extracted = || fs::metadata(path("v.lvoc.training")).map_or(0, |file| file.len());
+    while extracted() < 100_000 {
+        assert!(process.try_wait().unwrap().is_none(), "it ended before it could be killed");
+    }
+    process.kill().unwrap();
+    process.wait().unwrap();
+    assert!(!out.exists());
+
+    let resumed = loci(&[&train[..], &[text(&out)]].concat());
+    assert_eq!(resumed.code, 0, "{}", resumed.stderr);
+    assert!(resumed.stderr.contains("going on with the"), "{}", resumed.stderr);
+    assert!(fs::read(&out).unwrap() == fs::read(&whole).unwrap());
+    assert!(!path("v.lvoc.training").exists());
+}
+
+#[test]
+fn images_without_features_leave_nothing_behind() {
+    let blank = jpeg(&RgbImage::new(320, 240));
+    let folder = folder_with(&[("blank.jpg", &blank)]);
+    let out = folder.path().join("v.lvoc");
+    loci(&["vocab", "train", text(folder.path()), "--out", text(&out)]).assert_failed(1, &["no features"]);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn a_shape_that_makes_no_tree_is_a_wrong_argument() {
+    for shape in [["--branching", "1"], ["--branching", "33"], ["--depth", "0"], ["--depth", "9"]] {
+        let run = loci(&["vocab", "train", "photos", shape[0], shape[1], "--out", "v.lvoc"]);
+        assert!(run.code == 2 && run.stderr.contains(shape[0]), "{}", run.stderr);
+    }
+}
+
+#[test]
+fn a_device_is_not_replaced_by_a_file() {
+    let import = loci(&["vocab", "import", "vocab/default.lvoc", "--out", "/dev/null"]);
+    import.assert_failed(1, &["/dev/null", "a device"]);
+    assert!(fs::metadata("/dev/null").unwrap().file_type().is_char_device());
+}
+
+#[test]
+fn a_full_stdout_is_an_error_and_a_closed_one_is_none() {
+    let info = |stdout: Stdio| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_loci"));
+        let output = command.args(["vocab", "info", "vocab/default.lvoc"]).stdout(stdout).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, error) = info(fs::OpenOptions::new().write(true).open("/dev/full").unwrap().into());
+    assert!(code == Some(1) && error.starts_with("loci: cannot write to stdout"), "{error}");
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    assert_eq!(info(writer.into()), (Some(0), String::new()));
 }
 
 #[test]
@@ -137,6 +204,10 @@ fn a_flipped_bit_in_a_vocabulary_is_found_when_asked() {
     let path = folder.path().join("flipped.lvoc");
     assert_eq!(loci(&["vocab", "info", text(&path)]).code, 0);
     loci(&["vocab", "info", text(&path), "--verify"]).assert_failed(1, &["flipped.lvoc", "checksum"]);
+    let out = folder.path().join("out.lvoc");
+    loci(&["vocab", "import", text(&path), "--out", text(&out)])
+        .assert_failed(1, &["flipped.lvoc", "checksum"]);
+    assert!(!out.exists());
 }
 
 #[cfg(feature = "cnn")]

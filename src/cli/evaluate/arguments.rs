@@ -133,8 +133,8 @@ pub(super) struct OutputArguments {
 #[derive(Args)]
 #[command(next_help_heading = "Settings")]
 struct SettingArguments {
-    /// Visual vocabulary; given again, a set that is switched by light [default: vocab/default.lvoc]
-    #[arg(long, env = "LOCI_VOCAB", value_name = "FILE", value_delimiter = ',')]
+    /// Visual vocabulary; given again, a set that is switched by light [env: LOCI_VOCAB=] [default: vocab/default.lvoc]
+    #[arg(long, value_name = "FILE")]
     vocab: Vec<PathBuf>,
     /// Folder of the CNN with its card [default: models/efficientnet-lite0]
     #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]

@@ -3,13 +3,14 @@
 //! What was extracted is kept in `OUT.training` until the vocabulary is written, so that the same command
 //! goes on where it was cut off.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressDrawTarget};
 use loci::feature::{OrbExtractor, OrbOptions};
 use loci::frame::Frame;
 use loci::source::{self, SourceError};
-use loci::vocabulary::{CorpusImage, TrainingFile};
+use loci::vocabulary::{Corpus, CorpusImage, TrainingFile, VocabularyError};
 use rayon::prelude::*;
 
 use crate::cli::console::progress_bar;
@@ -17,24 +18,54 @@ use crate::cli::console::progress_bar;
 /// Frames that are held in memory for each core.
 const FRAMES_PER_CORE: usize = 4;
 
+/// A folder gives the images in it or in its subfolders, and no deeper ones.
+const SUBFOLDER_LEVELS: u32 = 2;
+
 /// The descriptors of every frame of the sources, those that an earlier run extracted included.
 pub(super) fn extract(names: &[String], out: &Path) -> anyhow::Result<TrainingFile> {
     let mut sources: Vec<_> =
         names.iter().map(|source| source::open(source, None)).collect::<Result<_, _>>()?;
-    let counts: Vec<Option<u64>> = sources.iter().map(|source| source.frame_count()).collect();
-    let of = format!("Loci {}: {names:?} {counts:?}", env!("CARGO_PKG_VERSION"));
+    let counts = sources.iter().map(|source| source.frame_count());
+    let identities: Vec<String> = names.iter().map(|name| identity(name)).collect();
+    let of = format!("Loci {}: {}", env!("CARGO_PKG_VERSION"), identities.join("; "));
     let path = PathBuf::from(format!("{}.training", out.display()));
     let mut corpus = TrainingFile::open(&path, &of)?;
     let known = corpus.frame_count();
     if known > 0 {
         eprintln!("loci: going on with the {known} frames in {}", path.display());
     }
-    let progress = progress_bar(counts.into_iter().sum(), "frames", ProgressDrawTarget::stderr());
+    let progress = progress_bar(counts.sum(), "frames", ProgressDrawTarget::stderr());
     let frames = sources.iter_mut().flat_map(|source| std::iter::from_fn(|| source.next_frame()));
     let extracted = Extraction { extractor: OrbExtractor::new(OrbOptions::default()), progress: &progress };
     extracted.run(frames.inspect(|_| progress.inc(1)).skip(known as usize), &mut corpus)?;
     progress.finish_and_clear();
+    if corpus.descriptor_count() == 0 {
+        corpus.remove()?;
+        return Err(VocabularyError::NothingToLearn.into());
+    }
     Ok(corpus)
+}
+
+/// What a source is known by: other images under the same name must not be taken for those that an earlier run
+/// extracted.
+fn identity(name: &str) -> String {
+    let Ok(path) = Path::new(name).canonicalize() else { return name.to_owned() };
+    let mut hasher = DefaultHasher::new();
+    hash_files(&path, SUBFOLDER_LEVELS, &mut hasher);
+    format!("{} {:016x}", path.display(), hasher.finish())
+}
+
+/// Hashes name, length and time of change of the file at `path`, or of those in the folder there.
+fn hash_files(path: &Path, levels: u32, hasher: &mut DefaultHasher) {
+    let Ok(metadata) = path.metadata() else { return };
+    if metadata.is_dir() && levels > 0 {
+        let mut entries: Vec<PathBuf> =
+            path.read_dir().into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+        entries.sort();
+        entries.iter().for_each(|entry| hash_files(entry, levels - 1, hasher));
+    } else if metadata.is_file() {
+        (path, metadata.len(), metadata.modified().ok()).hash(hasher);
+    }
 }
 
 type Read = Result<Frame, SourceError>;
@@ -77,5 +108,31 @@ impl Extraction<'_> {
                 None
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn a_folder_is_known_by_what_is_in_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("photos");
+        fs::create_dir_all(path.join("hall")).unwrap();
+        fs::write(path.join("hall/1.jpg"), b"one").unwrap();
+        let identity = || identity(path.to_str().unwrap());
+        let before = identity();
+        assert_eq!(identity(), before);
+        fs::write(path.join("hall/1.jpg"), b"another").unwrap();
+        let changed = identity();
+        assert_ne!(changed, before);
+        fs::write(path.join("2.jpg"), b"two").unwrap();
+        assert_ne!(identity(), changed);
+        let dotted = folder.path().join("photos/../photos");
+        assert_eq!(super::identity(dotted.to_str().unwrap()), identity(), "the same folder");
+        assert_eq!(super::identity("synthetic:street"), "synthetic:street");
     }
 }

@@ -3,6 +3,7 @@
 mod extraction;
 mod train;
 
+use std::fmt;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
@@ -12,7 +13,7 @@ use loci::vocabulary::{self, Corpus, TrainingProgress, Vocabulary, WordId, weigh
 use serde::Serialize;
 
 use self::extraction::extract;
-use super::console::progress_bar;
+use super::console::{progress_bar, say};
 use super::{Anything, Outcome, not_built};
 
 /// Commands of `loci vocab`.
@@ -74,7 +75,10 @@ struct Info {
     images: u32,
     /// Mean luminance of those images, 0 to 255.
     mean_luminance: Option<f32>,
+    /// Of the file.
     bytes: usize,
+    /// Of the file's format.
+    version: u32,
     verified: bool,
 }
 
@@ -98,7 +102,7 @@ fn import(arguments: &ImportArguments) -> anyhow::Result<Outcome> {
         (vocabulary, outcome) = weigh(&vocabulary, arguments)?;
     }
     if !arguments.json {
-        println!("imported    {} ({})", arguments.file.display(), format.as_str());
+        say(&format!("imported    {} ({})", arguments.file.display(), format.as_str()))?;
     }
     print(&describe(&vocabulary, arguments.out.display().to_string(), true), arguments.json)?;
     Ok(outcome)
@@ -125,7 +129,9 @@ fn info(arguments: &InfoArguments) -> anyhow::Result<Outcome> {
     if arguments.verify {
         vocabulary.verify(&arguments.file)?;
     }
-    print(&describe(&vocabulary, arguments.file.display().to_string(), arguments.verify), arguments.json)?;
+    // A file of version 1 is verified whenever it is opened.
+    let verified = arguments.verify || vocabulary.version() == 1;
+    print(&describe(&vocabulary, arguments.file.display().to_string(), verified), arguments.json)?;
     Ok(Outcome::Done)
 }
 
@@ -142,30 +148,27 @@ fn describe(vocabulary: &Vocabulary, file: String, verified: bool) -> Info {
         images: vocabulary.image_count(),
         mean_luminance: vocabulary.luminance(),
         bytes: vocabulary.length_bytes(),
+        version: vocabulary.version(),
         verified,
     }
 }
 
-fn light(mean_luminance: Option<f32>) -> String {
-    mean_luminance.map(|mean| format!(" of mean luminance {mean:.1}")).unwrap_or_default()
+fn print(info: &Info, json: bool) -> anyhow::Result<()> {
+    say(&if json { serde_json::to_string(info)? } else { info.to_string() })
 }
 
-fn print(info: &Info, json: bool) -> anyhow::Result<()> {
-    if json {
-        println!("{}", serde_json::to_string(info)?);
-        return Ok(());
+impl fmt::Display for Info {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "vocabulary  {}", self.file)?;
+        writeln!(f, "tree        branching {}, depth {}, {} nodes", self.branching, self.depth, self.nodes)?;
+        let (words, weightless) = (self.words, self.weightless_words);
+        writeln!(f, "words       {words}, {weightless} of them without weight; {}", self.weighting)?;
+        match (self.images, self.mean_luminance) {
+            (0, _) => writeln!(f, "trained on  unknown images")?,
+            (images, None) => writeln!(f, "trained on  {images} images")?,
+            (images, Some(light)) => writeln!(f, "trained on  {images} images of mean luminance {light:.1}")?,
+        }
+        writeln!(f, "size        {} bytes, version {}", self.bytes, self.version)?;
+        write!(f, "checksum    {}", if self.verified { "right" } else { "not checked (use --verify)" })
     }
-    println!("vocabulary  {}", info.file);
-    println!("tree        branching {}, depth {}, {} nodes", info.branching, info.depth, info.nodes);
-    println!(
-        "words       {}, {} of them without weight; {}",
-        info.words, info.weightless_words, info.weighting
-    );
-    match info.images {
-        0 => println!("trained on  unknown images"),
-        images => println!("trained on  {images} images{}", light(info.mean_luminance)),
-    }
-    println!("size        {} bytes", info.bytes);
-    println!("checksum    {}", if info.verified { "right" } else { "not checked (use --verify)" });
-    Ok(())
 }

@@ -1,17 +1,18 @@
 //! `loci vocab train`: a vocabulary of the features of many images.
 
+use std::fmt;
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, value_parser};
 use indicatif::ProgressDrawTarget;
 use loci::storage::check_replaceable;
 use loci::vocabulary::{Corpus, Trained, TrainingFile, TrainingOptions, TrainingProgress, train_on};
 use serde::Serialize;
 
 use super::extraction::extract;
-use super::{Info, describe, print};
+use super::{Info, describe};
 use crate::cli::Outcome;
-use crate::cli::console::progress_bar;
+use crate::cli::console::{progress_bar, say};
 
 /// Arguments of `loci vocab train`.
 #[derive(Args)]
@@ -23,10 +24,10 @@ pub(in crate::cli) struct TrainArguments {
     #[arg(required = true)]
     sources: Vec<String>,
     /// Children a node, 2 to 32
-    #[arg(long, default_value_t = 10)]
+    #[arg(long, default_value_t = 10, value_parser = value_parser!(u32).range(2..=32))]
     branching: u32,
     /// Levels below the root, 1 to 8
-    #[arg(long, default_value_t = 5)]
+    #[arg(long, default_value_t = 5, value_parser = value_parser!(u32).range(1..=8))]
     depth: u32,
     /// Seed of the random choice of first centres
     #[arg(long, default_value_t = 1)]
@@ -63,7 +64,6 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
         seed: arguments.seed,
         ..TrainingOptions::default()
     };
-    options.check()?;
     check_replaceable(&arguments.out)?;
     let corpus = extract(&arguments.sources, &arguments.out)?;
     let trained = grow(&corpus, options)?;
@@ -109,16 +109,20 @@ fn report(arguments: &TrainArguments, trained: &Trained, unreadable_frames: u64)
 }
 
 fn show(report: &Report, json: bool) -> anyhow::Result<()> {
-    if json {
-        println!("{}", serde_json::to_string(report)?);
-        return Ok(());
+    say(&if json { serde_json::to_string(report)? } else { report.to_string() })
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "{}", self.vocabulary)?;
+        let (descriptors, sampled) = (self.descriptors, self.sampled_descriptors);
+        writeln!(f, "descriptors {descriptors}, the tree grew from {sampled} of them")?;
+        writeln!(
+            f,
+            "occupancy   {:.1} descriptors a word on average, median {}, at most {}; {} words empty",
+            self.mean_occupancy, self.median_occupancy, self.max_occupancy, self.empty_words
+        )?;
+        let distortion = self.mean_distortion_bits;
+        write!(f, "distortion  {distortion:.2} bits on average from a descriptor to its word")
     }
-    print(&report.vocabulary, false)?;
-    println!("descriptors {}, the tree grew from {} of them", report.descriptors, report.sampled_descriptors);
-    println!(
-        "occupancy   {:.1} descriptors a word on average, median {}, at most {}; {} words empty",
-        report.mean_occupancy, report.median_occupancy, report.max_occupancy, report.empty_words
-    );
-    println!("distortion  {:.2} bits on average from a descriptor to its word", report.mean_distortion_bits);
-    Ok(())
 }

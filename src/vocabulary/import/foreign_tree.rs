@@ -87,9 +87,11 @@ impl ForeignTree {
                 continue;
             }
             let level = levels[next] + 1;
-            if run.len() as u32 > MAX_BRANCHING || level > MAX_DEPTH {
-                let reason = format!("node {id} has more than {MAX_BRANCHING} children or levels above it");
-                return Err(Fault::in_tree(reason));
+            if run.len() as u32 > MAX_BRANCHING {
+                return Err(Fault::in_tree(format!("node {id} has more than {MAX_BRANCHING} children")));
+            }
+            if level > MAX_DEPTH {
+                return Err(Fault::in_tree(format!("node {id} lies deeper than {MAX_DEPTH} levels")));
             }
             links.push(Link::Children { first: order.len() as u32, children: run.len() as u32 });
             for &position in run {

@@ -6,18 +6,21 @@ use super::Fault;
 
 /// Longest line in bytes; a node takes some 200.
 const MAX_LINE_BYTES: u64 = 16 << 10;
+/// Most empty lines in a row: a small compressed file may hold millions.
+const MAX_EMPTY_LINES: u64 = 64;
 
 /// Reads a text line by line.
 pub(super) struct Lines<R> {
     text: R,
     line: String,
+    empty_lines: u64,
     /// Number of the last line that was read, from 1.
     pub(super) number: u64,
 }
 
 impl<R: BufRead> Lines<R> {
     pub(super) fn new(text: R) -> Self {
-        Self { text, line: String::new(), number: 0 }
+        Self { text, line: String::new(), empty_lines: 0, number: 0 }
     }
 
     /// The next line, trimmed; `None` at the end.
@@ -29,8 +32,21 @@ impl<R: BufRead> Lines<R> {
         match read.map_err(|error| fault(error.to_string()))? {
             0 => Ok(None),
             bytes if bytes as u64 == MAX_LINE_BYTES => Err(fault("the line does not end".to_owned())),
-            _ => Ok(Some(self.line.trim())),
+            _ => {
+                let line = self.line.trim();
+                self.empty_lines = if line.is_empty() { self.empty_lines + 1 } else { 0 };
+                if self.empty_lines > MAX_EMPTY_LINES {
+                    Err(fault("only empty lines".to_owned()))
+                } else {
+                    Ok(Some(line))
+                }
+            }
         }
+    }
+
+    /// Whether the last line that was read ends as lines do; else the file may have been cut within it.
+    pub(super) fn is_whole(&self) -> bool {
+        self.line.ends_with('\n')
     }
 
     /// A fault in the last line that was read.

@@ -20,6 +20,9 @@ use self::foreign_tree::ForeignTree;
 use super::{Vocabulary, VocabularyError};
 use crate::storage::FileBytes;
 
+/// What a compressed file begins with; only DBoW2 compresses its files.
+const GZIP: [u8; 2] = [0x1f, 0x8b];
+
 /// Kinds of file that are imported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VocabularyFormat {
@@ -58,7 +61,7 @@ impl VocabularyFormat {
             Some(Self::Dbow3)
         } else if begins_with(&fbow::MAGIC.to_le_bytes()) {
             Some(Self::Fbow)
-        } else if text.starts_with(b"%YAML") || text.starts_with(b"vocabulary:") {
+        } else if begins_with(&GZIP) || text.starts_with(b"%YAML") || text.starts_with(b"vocabulary:") {
             Some(Self::Dbow2Yaml)
         } else {
             orb_slam::begins(text).then_some(Self::OrbSlamText)
@@ -101,13 +104,15 @@ pub fn import(path: &Path) -> Result<(VocabularyFormat, Vocabulary), VocabularyE
 /// # Errors
 /// As [`import`].
 pub fn from_bytes(file: &[u8], path: &Path) -> Result<(VocabularyFormat, Vocabulary), VocabularyError> {
-    if file.starts_with(&[0x1f, 0x8b]) {
+    if file.starts_with(&GZIP) {
         return from_text(BufReader::new(MultiGzDecoder::new(file)), path);
     }
     let format = VocabularyFormat::of(file);
     let tree = match format {
         Some(VocabularyFormat::Loci) => {
-            return Ok((VocabularyFormat::Loci, Vocabulary::from_bytes(file.to_vec(), path)?));
+            let vocabulary = Vocabulary::from_bytes(file.to_vec(), path)?;
+            vocabulary.verify(path)?;
+            return Ok((VocabularyFormat::Loci, vocabulary));
         }
         Some(VocabularyFormat::Dbow3) => dbow3::read(file),
         Some(VocabularyFormat::Fbow) => fbow::read(file),

@@ -21,6 +21,9 @@ pub(super) fn read(text: impl BufRead) -> Result<ForeignTree, Fault> {
         // Some writers end with an empty line.
         if !line.is_empty() {
             add_node(&mut tree, line).map_err(|reason| lines.fault(reason))?;
+            if !lines.is_whole() {
+                return Err(lines.fault("it ends within a line"));
+            }
         }
     }
     Ok(tree)

@@ -161,6 +161,26 @@ fn a_tree_that_floats_beside_its_root_is_refused() {
 }
 
 #[test]
+fn a_text_that_ends_within_its_last_number_is_refused() {
+    let text = TEXT.trim_ascii_end();
+    assert!(message(&text[..text.len() - 6]).contains("it ends within a line"));
+}
+
+#[test]
+fn lines_that_say_nothing_are_not_read_for_ever() {
+    let yaml = "%YAML:1.0\nk: 8\nL: 3\nscoringType: 0\nweightingType: 0\nnodes:\n";
+    for (head, idle, reason) in [
+        ("8 3 0 0\n", "\n", "only empty lines"),
+        (yaml, "\n", "only empty lines"),
+        ("%YAML:1.0\n", "\n", "it lists no nodes"),
+        ("%YAML:1.0\n", "a: b\n", "it lists no nodes"),
+    ] {
+        let text = head.to_owned() + &idle.repeat(1 << 20);
+        assert!(message(text.as_bytes()).contains(reason), "{}", message(text.as_bytes()));
+    }
+}
+
+#[test]
 fn a_line_without_end_takes_no_memory() {
     let mut text = "8 3 0 0\n".to_owned();
     write!(text, "{}", "0 ".repeat(1 << 20)).unwrap();

@@ -10,6 +10,8 @@ use super::lines::{Lines, descriptor, number};
 
 /// Longest item of a list in bytes.
 const MAX_ITEM_BYTES: usize = 16 << 10;
+/// Most lines before the lists; OpenCV writes seven.
+const MAX_HEAD_LINES: u64 = 64;
 
 pub(super) fn read(text: impl BufRead) -> Result<ForeignTree, Fault> {
     let mut lines = Lines::new(text);
@@ -23,6 +25,9 @@ pub(super) fn read(text: impl BufRead) -> Result<ForeignTree, Fault> {
             return Err(lines.fault(reason));
         }
         head.line = lines.number;
+        if head.line == MAX_HEAD_LINES {
+            break;
+        }
     }
     Err(lines.fault("it lists no nodes"))
 }

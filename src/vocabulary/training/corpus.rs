@@ -94,13 +94,17 @@ impl TrainingFile {
     /// are kept; a torn last one is cut off.
     ///
     /// # Errors
-    /// If the file cannot be written, is damaged, or is of other images.
+    /// If the file cannot be written, is being written by another process, is damaged, or is of other images.
     pub fn open(path: &Path, of: &str) -> Result<Self, VocabularyError> {
-        let store = FileLog::open(path, true)?;
+        let store = FileLog::open(path, true)?.lock(path)?;
         let mut contents = Contents::default();
-        let (log, _) = RecordLog::open(Box::new(store), &KIND, path, true, |offset, payload| {
+        let opened = RecordLog::open(Box::new(store), &KIND, path, true, |offset, payload| {
             contents.add(offset, payload);
             Ok(())
+        });
+        let (log, _) = opened.map_err(|error| match error {
+            StorageError::Damaged { path, reason } => VocabularyError::DamagedTraining { path, reason },
+            error => error.into(),
         })?;
         let Contents { of: found, images, frames, descriptors, luminance_sum } = contents;
         let mut file = Self { path: path.to_owned(), log, images, frames, descriptors, luminance_sum };
@@ -244,6 +248,23 @@ mod tests {
         let path = folder.path().join("t");
         drop(TrainingFile::open(&path, "photos").unwrap());
         let error = TrainingFile::open(&path, "videos").err().unwrap().to_string();
-        assert!(error.contains("is of other images: delete it"), "{error}");
+        assert!(error.contains("of other images left behind: delete it"), "{error}");
+    }
+
+    #[test]
+    fn a_file_that_is_being_written_or_damaged_is_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t");
+        let mut file = TrainingFile::open(&path, "photos").unwrap();
+        file.push(Some(&image(10, 3))).unwrap();
+        file.push(Some(&image(10, 3))).unwrap();
+        let error = TrainingFile::open(&path, "photos").err().unwrap().to_string();
+        assert!(error.contains("another process is writing it"), "{error}");
+        drop(file);
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[50] ^= 1;
+        std::fs::write(&path, bytes).unwrap();
+        let error = TrainingFile::open(&path, "photos").err().unwrap().to_string();
+        assert!(error.contains("is damaged: ") && error.contains("; delete it"), "{error}");
     }
 }

@@ -21,6 +21,10 @@ use super::format::{self, Counts};
 use super::{Vocabulary, VocabularyError, Weighting};
 use crate::feature::Descriptor;
 
+/// Most descriptors that a tree grows from: no word is empty of them and no node but the root has a single
+/// child, so that its nodes are at most twice as many, which is what a file can hold.
+const MAX_SAMPLE: u64 = format::MAX_NODES as u64 / 2;
+
 /// Settings of the training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TrainingOptions {
@@ -31,13 +35,13 @@ pub struct TrainingOptions {
     /// Seed of the random choice of first centres and of the sample; default 1.
     pub seed: u64,
     /// Most descriptors that the tree grows from, 32 bytes of memory each and as many again while they are
-    /// sorted; default 16,777,216.
+    /// sorted; default 8,388,608, and more are never taken.
     pub most_descriptors: u64,
 }
 
 impl Default for TrainingOptions {
     fn default() -> Self {
-        Self { branching: 10, depth: 5, seed: 1, most_descriptors: 1 << 24 }
+        Self { branching: 10, depth: 5, seed: 1, most_descriptors: MAX_SAMPLE }
     }
 }
 
@@ -112,7 +116,7 @@ pub fn train_on(
 ) -> Result<Trained, VocabularyError> {
     let TrainingOptions { branching, depth, seed, most_descriptors } = options;
     options.check()?;
-    let sample = sample::draw(corpus, most_descriptors, seed)?;
+    let sample = sample::draw(corpus, most_descriptors.min(MAX_SAMPLE), seed)?;
     if sample.is_empty() {
         return Err(VocabularyError::NothingToLearn);
     }
@@ -254,6 +258,18 @@ mod tests {
         }
         let nothing = MemoryCorpus::from(&[][..]);
         assert!(matches!(weigh_on(&vocabulary, &nothing, &|_| {}), Err(VocabularyError::NothingToLearn)));
+    }
+
+    #[test]
+    fn every_node_but_the_root_is_a_word_or_has_several_children() {
+        // Many equal descriptors, which no clustering can part.
+        let images: Vec<Vec<Descriptor>> =
+            (0..50_u8).map(|image| vec![Descriptor([image % 7; 32]), Descriptor([image; 32])]).collect();
+        let vocabulary = train(&images, options(3, 8)).unwrap();
+        assert_eq!(vocabulary.word_count(), 50);
+        assert!(vocabulary.node_count() <= 2 * 50, "{}", vocabulary.node_count());
+        let alike = [vec![Descriptor([1; 32]); 9]];
+        assert_eq!(train(&alike, options(3, 8)).unwrap().node_count(), 2);
     }
 
     #[test]

@@ -56,6 +56,10 @@ impl Growth<'_> {
             return Branch::default();
         }
         let clusters = split(run, self.branching, &mut Pcg64::seed_from_u64(stream));
+        if clusters.len() == 1 && level > 0 {
+            self.settled(run.len() as u64 * u64::from(self.depth - level));
+            return Branch::default();
+        }
         self.settled(run.len() as u64);
         let mut rest = run;
         let mut parts = Vec::with_capacity(clusters.len());
