@@ -33,7 +33,7 @@ enum Command {
     Run(run::RunArguments),
     /// See it work: a synthetic drive of two laps, noon and dusk, with a summary at the end
     Demo(demo::DemoArguments),
-    /// Train and inspect visual vocabularies
+    /// Train, import, inspect and time visual vocabularies
     #[command(subcommand)]
     Vocab(vocab::VocabCommand),
     /// Look after a map

@@ -20,7 +20,8 @@ pub(super) struct StreamSettings {
     /// Folder of the map; made if need be. Without it the map is gone at the end
     #[arg(long, env = "LOCI_MAP", value_name = "DIR")]
     pub(super) map: Option<PathBuf>,
-    /// Visual vocabulary; given again, a set that is switched by light [env: LOCI_VOCAB=] [default: vocab/default.lvoc]
+    /// Visual vocabulary; given again, a set that is switched by light [env: LOCI_VOCAB=, parted by ':']
+    /// [default: vocab/default.lvoc]
     #[arg(long, value_name = "FILE")]
     pub(super) vocab: Vec<PathBuf>,
     /// Folder of the CNN with its card [default: models/efficientnet-lite0]

@@ -10,19 +10,20 @@ fn commands_that_are_not_built_say_so_and_fail() {
         let message = format!("`loci {command}` is not built yet");
         loci(&[command, "--with", "anything"]).assert_failed(1, &[&message]);
     }
-    for arguments in [["map", "verify"], ["map", "rename"], ["vocab", "bench"]] {
+    for arguments in [["map", "verify"], ["map", "rename"]] {
         loci(&arguments).assert_failed(1, &["is not built yet"]);
     }
 }
 
 #[test]
 fn help_of_every_built_command_shows_an_example() {
-    let commands: [&[&str]; 8] = [
+    let commands: [&[&str]; 9] = [
         &["run"],
         &["demo"],
         &["evaluate"],
         &["vocab", "train"],
         &["vocab", "import"],
+        &["vocab", "bench"],
         &["vocab", "info"],
         &["map", "info"],
         &["doctor"],
@@ -80,6 +81,18 @@ fn a_vocabulary_is_trained_and_described() {
     assert!((100..=216).contains(&info["words"].as_u64().unwrap()), "{info}");
     let run = loci(&["run", world, "--vocab", text(&path), "--json"]);
     assert_eq!(run.records().len(), 5);
+}
+
+#[test]
+fn a_vocabulary_is_timed() {
+    let bench = loci(&["vocab", "bench", "vocab/default.lvoc", "--json"]);
+    assert_eq!(bench.code, 0, "{}", bench.stderr);
+    let report = &bench.records()[0];
+    assert_eq!((&report["words"], &report["descriptors"]), (&99_149.into(), &1000.into()));
+    for time in ["open_to_first_word_us", "bow_us"] {
+        assert!(report[time].as_f64().unwrap() > 1.0, "{report}");
+    }
+    assert!(report["private_bytes"].as_u64().unwrap() < 1 << 20, "{report}");
 }
 
 #[test]

@@ -133,7 +133,8 @@ pub(super) struct OutputArguments {
 #[derive(Args)]
 #[command(next_help_heading = "Settings")]
 struct SettingArguments {
-    /// Visual vocabulary; given again, a set that is switched by light [env: LOCI_VOCAB=] [default: vocab/default.lvoc]
+    /// Visual vocabulary; given again, a set that is switched by light [env: LOCI_VOCAB=, parted by ':']
+    /// [default: vocab/default.lvoc]
     #[arg(long, value_name = "FILE")]
     vocab: Vec<PathBuf>,
     /// Folder of the CNN with its card [default: models/efficientnet-lite0]

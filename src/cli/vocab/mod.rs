@@ -1,5 +1,6 @@
-//! `loci vocab`: train, import and inspect visual vocabularies.
+//! `loci vocab`: train, import, inspect and time visual vocabularies.
 
+mod bench;
 mod extraction;
 mod train;
 
@@ -13,8 +14,8 @@ use loci::vocabulary::{self, Corpus, TrainingProgress, Vocabulary, WordId, weigh
 use serde::Serialize;
 
 use self::extraction::extract;
+use super::Outcome;
 use super::console::{progress_bar, say};
-use super::{Anything, Outcome, not_built};
 
 /// Commands of `loci vocab`.
 #[derive(Subcommand)]
@@ -25,8 +26,8 @@ pub(super) enum VocabCommand {
     Info(InfoArguments),
     /// Turn a vocabulary of ORB-SLAM, DBoW2, DBoW3 or FBoW, or an older one of Loci, into a .lvoc file
     Import(ImportArguments),
-    /// Time a vocabulary (not built yet)
-    Bench(Anything),
+    /// What a vocabulary costs on this computer: time and memory
+    Bench(bench::BenchArguments),
 }
 
 /// Arguments of `loci vocab import`.
@@ -88,7 +89,7 @@ pub(super) fn run(command: VocabCommand) -> anyhow::Result<Outcome> {
         VocabCommand::Train(arguments) => train::run(&arguments),
         VocabCommand::Info(arguments) => info(&arguments),
         VocabCommand::Import(arguments) => import(&arguments),
-        VocabCommand::Bench(_) => not_built("vocab bench"),
+        VocabCommand::Bench(arguments) => bench::run(&arguments),
     }
 }
 
