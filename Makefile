@@ -7,7 +7,7 @@ FUZZ_TARGETS ?=
 # Cameras need libclang to build, so plain cargo leaves them out and every target here puts them in.
 FEATURES ?= v4l
 
-.PHONY: help demo test test-data test-large benchmarks lint bench fuzz deps system-deps test-deps fuzz-deps
+.PHONY: help demo test test-data test-large test-crash soak benchmarks lint bench fuzz deps system-deps test-deps fuzz-deps
 
 help: ## What can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -24,6 +24,12 @@ test-data: deps ## Tests on real sequences, found by LOCI_DATA
 
 test-large: ## A training from a hundred million descriptors, its memory measured: minutes, and 3.3 GB of disk
 	$(CARGO) test --release --no-default-features --test large_training -- --ignored --nocapture
+
+test-crash: ## Runs killed 540 times; what they had answered must be in their maps: minutes
+	$(CARGO) test --release --no-default-features --features cli --test crash -- --ignored --nocapture
+
+soak: ## A million frames, or LOCI_SOAK_FRAMES; memory must stay flat: a quarter of an hour
+	$(CARGO) test --release --no-default-features --test soak -- --ignored --nocapture
 
 benchmarks: deps ## Evaluate the suite on the data at LOCI_DATA and write BENCHMARKS.md
 	$(CARGO) run --release --features $(FEATURES) -- evaluate --suite

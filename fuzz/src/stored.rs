@@ -3,10 +3,15 @@
 
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
 
 use loci::feature::Descriptor;
-use loci::place_map::PlaceMap;
-use loci::storage::{FileKind, FileLog, HEADER_BYTES, RecordLog};
+use loci::frame::Frame;
+use loci::place_map::{MapOptions, NewExperience, PlaceMap};
+use loci::raster::{GreyImage, RgbImage};
+use loci::storage::{
+    AppendFile, Envelope, FileKind, HEADER_BYTES, MemoryFile, Reading, RecordLog, Tail, checksum,
+};
 use loci::vocabulary::{Corpus, CorpusImage, TrainingFile, Vocabulary, WordId, import};
 
 use super::accepted;
@@ -18,8 +23,11 @@ const COUNTS_BYTES: usize = 32;
 /// Longest body that mending makes.
 const MAX_MENDED_BYTES: u64 = 1 << 16;
 
-const TRAINING: FileKind = FileKind { magic: *b"LOCITRN\0", version: 1, name: "training file" };
-const JOURNAL: FileKind = FileKind { magic: *b"LOCIMAP\0", version: 1, name: "journal" };
+const TRAINING: FileKind = FileKind { magic: *b"LOCITRN\0", version: 2, name: "training file" };
+const FRAME: Envelope = Envelope { kind: 1, version: 1 };
+const SNAPSHOT: FileKind = FileKind { magic: *b"LOCISNP\0", version: 1, name: "snapshot" };
+const SNAPSHOT_NAME: &str = "snapshot.loci";
+const JOURNAL: FileKind = FileKind { magic: *b"LOCIMAP\0", version: 2, name: "journal" };
 const JOURNAL_NAME: &str = "journal-000001.loci";
 const JOURNAL_HEADER_BYTES: usize = 16;
 
@@ -53,7 +61,8 @@ pub fn training_file(bytes: &[u8]) {
     let path = write(here.path(), "v.training", bytes);
     read_training(&path);
     fs::remove_file(&path).expect("the training file");
-    write_records(&path, &TRAINING, &payloads(bytes));
+    let records: Vec<_> = payloads(bytes).into_iter().map(|payload| (FRAME, payload)).collect();
+    write(here.path(), "v.training", &written(&TRAINING, &records));
     read_training(&path);
 }
 
@@ -103,42 +112,78 @@ fn use_vocabulary(vocabulary: &Vocabulary, bytes: &[u8]) {
     assert_eq!(vocabulary.weight(WordId(vocabulary.word_count())), 0.0);
 }
 
-/// A map's journal, [`PlaceMap::open`].
+/// A map's journal of either version, [`PlaceMap::open`].
 pub fn map_journal(bytes: &[u8]) {
-    let here = folder();
-    let path = write(here.path(), JOURNAL_NAME, bytes);
-    read_map(here.path());
-    fs::remove_file(&path).expect("the journal");
-    write_records(&path, &JOURNAL, &payloads(bytes));
-    read_map(here.path());
+    let journals = [bytes.to_vec(), first_journal(&payloads(bytes)), second_journal(bytes)];
+    for journal in journals {
+        let here = folder();
+        write(here.path(), JOURNAL_NAME, &journal);
+        read_map(here.path());
+    }
+}
+
+/// A map's snapshot beside a journal of two experiences, [`PlaceMap::open`].
+pub fn map_snapshot(bytes: &[u8]) {
+    let mended = [&SNAPSHOT.header(bytes)[..], bytes].concat();
+    for snapshot in [bytes, &mended] {
+        let here = folder();
+        write(here.path(), JOURNAL_NAME, include_bytes!("../seeds/map_journal/version_2.loci"));
+        write(here.path(), SNAPSHOT_NAME, snapshot);
+        read_map(here.path());
+    }
 }
 
 /// Opens a map as the program does: whatever is repaired and read must be there again the next time.
 fn read_map(folder: &Path) {
+    let verified = accepted(PlaceMap::verify(folder, &|_, _| ()));
     let found = accepted(PlaceMap::open_read_only(folder)).map(|map| contents(&map));
-    let Some(mut map) = accepted(PlaceMap::open(folder)) else {
+    let is_sound = verified.is_some_and(|verified| !verified.is_damaged());
+    assert!(found.is_some() || !is_sound, "what is sound cannot be read");
+    let Some(mut map) = accepted(PlaceMap::open(folder, MapOptions::default())) else {
         assert!(found.is_none(), "what can be read cannot be opened for writing");
         return;
     };
-    let written = contents(&map);
-    assert_eq!(found, Some(written.clone()), "what can be written cannot be read");
+    let (places, experiences) = contents(&map);
+    assert_eq!(found, Some((places.clone(), experiences.clone())), "what can be written cannot be read");
     for experience in map.experiences() {
-        accepted(map.thumbnail_jpeg(experience.id)).expect("the record that was just read");
+        accepted(map.thumbnail_jpeg(experience.id));
+        accepted(map.features(experience.id));
+        accepted(map.traits(experience.id));
     }
-    let place = map.found_place().expect("a further place");
-    assert_eq!(place.0 as usize, written.0);
+    if accepted(map.learn(None, &look(&frame()))).is_none() {
+        return;
+    }
+    let grown = contents(&map);
+    assert_eq!((grown.0.len(), grown.1.len()), (places.len() + 1, experiences.len() + 1));
     drop(map);
     let map = accepted(PlaceMap::open_read_only(folder)).expect("the map that was just repaired");
-    assert_eq!((map.summary().torn_bytes, contents(&map)), (0, (written.0 + 1, written.1)));
+    assert_eq!((map.summary().torn_bytes, contents(&map)), (0, grown));
 }
 
-fn contents(map: &PlaceMap) -> (usize, Vec<String>) {
-    // As text, because a stored number may be NaN.
-    let experiences = map.experiences().iter().map(|experience| format!("{experience:?}"));
-    (map.places().len(), experiences.collect())
+/// Places and experiences, as text because a stored number may be NaN.
+fn contents(map: &PlaceMap) -> (Vec<String>, Vec<String>) {
+    let experiences = map.experiences().map(|experience| format!("{experience:?}"));
+    (map.places().map(|place| format!("{place:?}")).collect(), experiences.collect())
 }
 
-/// The payloads that the frames of a journal enclose; the last one may be cut.
+fn frame() -> Frame {
+    Frame {
+        index: 0,
+        capture_nanos: 0,
+        name: String::new(),
+        colour: RgbImage::new(1, 1),
+        grey: GreyImage::new(1, 1),
+        jpeg: None,
+        pose: None,
+        true_place: None,
+    }
+}
+
+fn look(frame: &Frame) -> NewExperience<'_> {
+    NewExperience { frame, view: 0, mean_luminance: 0.0, thumbnail_jpeg: &[1], keyframe: None }
+}
+
+/// The payloads that the frames of a journal of version 1 enclose; the last one may be cut.
 fn payloads(journal: &[u8]) -> Vec<&[u8]> {
     let mut payloads = Vec::new();
     let mut rest = journal.get(JOURNAL_HEADER_BYTES..).unwrap_or_default();
@@ -151,10 +196,38 @@ fn payloads(journal: &[u8]) -> Vec<&[u8]> {
     payloads
 }
 
-fn write_records(path: &Path, kind: &FileKind, payloads: &[&[u8]]) {
-    let store = Box::new(FileLog::open(path, true).expect("a new journal"));
-    let (mut log, _) = RecordLog::open(store, kind, path, true, |_, _| Ok(())).expect("an empty journal");
+/// A journal of version 1 with these payloads.
+fn first_journal(payloads: &[&[u8]]) -> Vec<u8> {
+    let mut journal = [&b"LOCIMAP\0"[..], &[1, 0, 0, 0, 0, 0, 0, 0]].concat();
     for payload in payloads {
-        log.append(payload).expect("a record");
+        journal.extend((payload.len() as u32).to_le_bytes());
+        journal.extend(checksum(payload).to_le_bytes());
+        journal.extend_from_slice(payload);
     }
+    journal
+}
+
+/// A journal of version 2 with the records that `bytes` name: kind, length (u16), payload.
+fn second_journal(bytes: &[u8]) -> Vec<u8> {
+    let mut records = Vec::new();
+    let mut rest = bytes;
+    while let Some(([kind, low, high], after)) = rest.split_first_chunk::<3>() {
+        let length = usize::from(u16::from_le_bytes([*low, *high])).min(after.len());
+        let (payload, next) = after.split_at(length);
+        records.extend((length > 0).then_some((Envelope { kind: *kind, version: 1 }, payload)));
+        rest = next;
+    }
+    written(&JOURNAL, &records)
+}
+
+/// The bytes of a log with these records.
+fn written(kind: &FileKind, records: &[(Envelope, &[u8])]) -> Vec<u8> {
+    let file = Arc::new(MemoryFile::default());
+    let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
+    let opened = RecordLog::open(file.clone(), (kind, Path::new("log")), Tail::Mended, reading);
+    let (mut log, _) = opened.expect("an empty log");
+    log.append(records).expect("records");
+    let mut bytes = vec![0; file.length_bytes().expect("a length") as usize];
+    file.read_at(0, &mut bytes).expect("what was written");
+    bytes
 }

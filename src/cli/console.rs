@@ -7,6 +7,7 @@ use anyhow::Context;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use loci::cnn::CnnError;
 use loci::pipeline::{RunSummary, Watcher};
+use loci::place_map::MapError;
 use loci::recognition::Decision;
 use loci::source::SourceError;
 use loci::telemetry::{FrameRecord, RecognitionSink, TelemetryError};
@@ -81,6 +82,13 @@ pub(super) fn progress_bar(length: Option<u64>, unit: &str, target: ProgressDraw
     bar
 }
 
+/// Shows that something goes on whose length is not known.
+pub(super) fn spinner(message: &'static str) -> ProgressBar {
+    let spinner = ProgressBar::new_spinner().with_message(message);
+    spinner.enable_steady_tick(Duration::from_millis(250));
+    spinner
+}
+
 impl Watcher for Reporter {
     fn skipped(&self, error: &SourceError) {
         self.progress.suspend(|| eprintln!("loci: skipped: {error}"));
@@ -89,6 +97,11 @@ impl Watcher for Reporter {
 
     fn cnn_failed(&self, frame_name: &str, error: &CnnError) {
         self.progress.suspend(|| eprintln!("loci: {frame_name}: {error}; decided by BoW+HV alone"));
+    }
+
+    fn map_failed(&self, failure: &MapError, goes_on_learning: bool) {
+        let consequence = if goes_on_learning { "" } else { "; going on read-only, nothing more is learnt" };
+        self.progress.suspend(|| eprintln!("loci: {failure}{consequence}"));
     }
 
     fn decided(&self, _: &FrameRecord) {
@@ -111,8 +124,8 @@ pub(super) fn summary_text(summary: &RunSummary) -> String {
     );
     if summary.lost_something() {
         text += &format!(
-            "\n{} frames skipped, {} without the CNN's answer",
-            summary.skipped, summary.cnn_failures
+            "\n{} frames skipped, {} without the CNN's answer, {} failures of the map",
+            summary.skipped, summary.cnn_failures, summary.map_failures
         );
     }
     if let Some(map) = &summary.map {

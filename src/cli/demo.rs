@@ -33,13 +33,14 @@ pub(super) struct DemoArguments {
 
 /// Drives, recognises, and says how well it went.
 pub(super) fn run(arguments: DemoArguments) -> anyhow::Result<Outcome> {
+    let settings = arguments.settings.completed(None)?;
     let score = Arc::new(Mutex::new(Score::default()));
     let mut sinks: Vec<Box<dyn RecognitionSink>> = vec![Box::new(ScoreSink(Arc::clone(&score)))];
     if arguments.json {
         sinks.push(Box::new(JsonLines::new(std::io::stdout())));
     }
     let stop = stream::stop_flag()?;
-    let pipeline = stream::pipeline(WORLD, &arguments.settings, sinks)?;
+    let pipeline = stream::pipeline(WORLD, &settings, sinks)?;
     let frames = pipeline.source.frame_count();
     eprintln!("loci: driving two laps of a street that exists only in this program …");
     let reporter = Reporter::new(frames, false);

@@ -51,7 +51,7 @@ impl Finding {
 
 /// Tries every part and prints a line for each.
 pub(super) fn run(arguments: DoctorArguments) -> anyhow::Result<Outcome> {
-    let findings = findings(&arguments.settings);
+    let findings = findings(&arguments.settings.completed(None)?);
     if arguments.json {
         say(&serde_json::to_string(&findings)?)?;
     } else {

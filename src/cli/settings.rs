@@ -8,7 +8,9 @@ use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
+use bytesize::ByteSize;
 use clap::Args;
+use loci::place_map::Durability;
 use serde::Deserialize;
 
 use super::WrongArgument;
@@ -20,6 +22,16 @@ pub(super) struct StreamSettings {
     /// Folder of the map; made if need be. Without it the map is gone at the end
     #[arg(long, env = "LOCI_MAP", value_name = "DIR")]
     pub(super) map: Option<PathBuf>,
+    /// When what was learnt is safe from a power cut: every (before the answer), interval=200ms, or none
+    /// [default: interval=200ms]
+    #[arg(long, env = "LOCI_DURABILITY", value_name = "WHEN")]
+    pub(super) durability: Option<Durability>,
+    /// Most bytes of the map's folder; what tells least is given up [default: 4GiB]
+    #[arg(long, env = "LOCI_MAP_DISK", value_name = "SIZE")]
+    pub(super) map_disk: Option<ByteSize>,
+    /// Most memory of the keyframes that are searched; places not seen for long wait on the disk [default: 256MiB]
+    #[arg(long, env = "LOCI_MAP_MEMORY", value_name = "SIZE")]
+    pub(super) map_memory: Option<ByteSize>,
     /// Visual vocabulary; given again, a set that is switched by light [env: LOCI_VOCAB=, parted by ':']
     /// [default: vocab/default.lvoc]
     #[arg(long, value_name = "FILE")]
@@ -69,6 +81,9 @@ impl StreamSettings {
     fn or(self, other: Self) -> Self {
         Self {
             map: self.map.or(other.map),
+            durability: self.durability.or(other.durability),
+            map_disk: self.map_disk.or(other.map_disk),
+            map_memory: self.map_memory.or(other.map_memory),
             vocab: if self.vocab.is_empty() { other.vocab } else { self.vocab },
             model: self.model.or(other.model),
             onnxruntime: self.onnxruntime.or(other.onnxruntime),

@@ -3,10 +3,11 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use loci::cnn::{CnnError, DescriptorModel, ModelCard, OnnxRuntime, RuntimeVersion};
+use bytesize::ByteSize;
+use loci::cnn::{CnnError, DescriptorModel, OnnxRuntime, RuntimeVersion};
 use loci::feature::{OrbExtractor, OrbOptions};
 use loci::pipeline::Pipeline;
-use loci::place_map::PlaceMap;
+use loci::place_map::{MapError, MapOptions, PlaceMap};
 use loci::recognition::{Recogniser, RecognitionOptions};
 use loci::source;
 use loci::telemetry::RecognitionSink;
@@ -14,6 +15,11 @@ use loci::vocabulary::VocabularySet;
 
 use super::settings::StreamSettings;
 use super::{WrongArgument, assets};
+
+/// Smallest `--map-disk`.
+const MIN_MAP_DISK: ByteSize = ByteSize::mib(1);
+/// Most bytes of a map that is gone at the end.
+const MAX_MEMORY_MAP_BYTES: u64 = 1 << 30;
 
 /// Puts the stream together. Where there is no ONNX Runtime it says so and does without the CNN.
 pub(super) fn pipeline(
@@ -27,18 +33,53 @@ pub(super) fn pipeline(
     let vocabularies = VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?;
     let model = open_cnn(settings)?.map(|(model, _)| model);
     let options = recognition_options(settings);
-    let map = match (&settings.map, options.read_only) {
-        (Some(folder), true) => PlaceMap::open_read_only(folder)?,
-        (Some(folder), false) => PlaceMap::open(folder)?,
-        (None, true) => return Err(WrongArgument("--read-only needs a --map to localise in".into()).into()),
-        (None, false) => PlaceMap::in_memory()?,
-    };
-    report_condition(&map, model.as_ref().map(DescriptorModel::card));
+    let (map, unwritable) = open_map(settings, options.read_only)?;
+    report_condition(&map);
     let card = model.as_ref().map(|model| model.card().clone());
-    let recogniser = Recogniser::new(Arc::new(vocabularies), map, card, options);
+    let mut recogniser = Recogniser::new(Arc::new(vocabularies), map, card, options)?;
+    if let (1.., Some(model)) = (recogniser.foreign_descriptors(), &model) {
+        eprintln!(
+            "loci: {} keyframes have CNN descriptors of another model than {}; they are found by BoW+HV alone",
+            recogniser.foreign_descriptors(),
+            model.card().name
+        );
+    }
+    if let Some(unwritable) = unwritable {
+        recogniser.read_only_because(unwritable);
+    }
     // Last, so that a run that cannot start replaces no recording and opens no viewer.
     sinks.extend(rerun_sink(&rerun)?);
     Ok(Pipeline { source, extractor: OrbExtractor::new(OrbOptions::default()), model, recogniser, sinks })
+}
+
+/// The map of `settings`; where there is one but its folder cannot be written, for reading, with the reason.
+fn open_map(settings: &StreamSettings, is_read_only: bool) -> anyhow::Result<(PlaceMap, Option<MapError>)> {
+    let options = map_options(settings)?;
+    match (&settings.map, is_read_only) {
+        (Some(folder), true) => Ok((PlaceMap::open_read_only(folder)?, None)),
+        (Some(folder), false) => match PlaceMap::open(folder, options) {
+            Ok(map) => Ok((map, None)),
+            Err(error) if error.is_unwritable() => match PlaceMap::open_read_only(folder) {
+                Ok(map) => Ok((map, Some(error))),
+                Err(_) => Err(error.into()),
+            },
+            Err(error) => Err(error.into()),
+        },
+        (None, true) => Err(WrongArgument("--read-only needs a --map to localise in".into()).into()),
+        (None, false) => {
+            let disk_bytes = options.disk_bytes.min(MAX_MEMORY_MAP_BYTES);
+            Ok((PlaceMap::in_memory(MapOptions { disk_bytes, ..options })?, None))
+        }
+    }
+}
+
+pub(super) fn map_options(settings: &StreamSettings) -> anyhow::Result<MapOptions> {
+    let defaults = MapOptions::default();
+    let disk_bytes = settings.map_disk.map_or(defaults.disk_bytes, |size| size.as_u64());
+    if disk_bytes < MIN_MAP_DISK.as_u64() {
+        return Err(WrongArgument(format!("--map-disk must be at least {MIN_MAP_DISK}")).into());
+    }
+    Ok(MapOptions { durability: settings.durability.unwrap_or_default(), disk_bytes, ..defaults })
 }
 
 pub(super) fn recognition_options(settings: &StreamSettings) -> RecognitionOptions {
@@ -47,6 +88,7 @@ pub(super) fn recognition_options(settings: &StreamSettings) -> RecognitionOptio
         place_interval: settings.place_interval.unwrap_or(defaults.place_interval),
         read_only: settings.read_only.unwrap_or(defaults.read_only),
         grow_vocabulary: settings.grow_vocabulary.unwrap_or(defaults.grow_vocabulary),
+        memory_bytes: settings.map_memory.map_or(defaults.memory_bytes, |size| size.as_u64() as usize),
         ..defaults
     }
 }
@@ -79,18 +121,13 @@ pub(super) fn eyes(
 }
 
 /// Says what a user would want to know of a map before a run.
-fn report_condition(map: &PlaceMap, card: Option<&ModelCard>) {
-    let summary = map.summary();
-    if summary.torn_bytes > 0 {
-        eprintln!("loci: the map's last record was torn ({} bytes) and is left out", summary.torn_bytes);
+fn report_condition(map: &PlaceMap) {
+    let torn_bytes = map.summary().torn_bytes;
+    if torn_bytes > 0 {
+        eprintln!("loci: the map's last record was torn ({torn_bytes} bytes) and is left out");
     }
-    if let Some(card) = card
-        && summary.models.iter().any(|model| *model != card.sha256)
-    {
-        eprintln!(
-            "loci: the map has CNN descriptors of another model than {}; their keyframes are found by BoW+HV alone",
-            card.name
-        );
+    if let Some(fault) = map.snapshot_fault() {
+        eprintln!("loci: the journal was read from its beginning: {fault}");
     }
 }
 

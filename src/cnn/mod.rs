@@ -12,6 +12,7 @@
 //! [`RgbImage`]: crate::raster::RgbImage
 
 mod card;
+mod compact;
 mod descriptor;
 #[cfg(feature = "cnn")]
 mod engine;
@@ -27,6 +28,7 @@ mod search;
 mod signature;
 
 pub use card::{DecisionCard, DescriptorCard, InputCard, ModelCard, TrainingCard};
+pub use compact::CompactDescriptor;
 pub use descriptor::Descriptor;
 pub use error::CnnError;
 pub use library::{LibraryFault, OLDEST_RUNTIME, RuntimeVersion};

@@ -9,7 +9,7 @@ use super::alignment::misalignment;
 use super::frames::FrameDatabase;
 use super::judgement::{Search, horizons_of_past};
 use super::machine;
-use super::map::Robot;
+use super::map::{Robot, RobotOptions};
 use super::metrics::{self, Proportion};
 use super::paper;
 use super::results::{Baseline, Database, Experiment, Method, MethodResult, StageLatency};
@@ -19,7 +19,6 @@ use super::traverse::{Eyes, Traverse, TraversePlan};
 use super::truth_plan::TruthPlan;
 use super::worst;
 use crate::pipeline::Watcher;
-use crate::recognition::RecognitionOptions;
 
 /// What to find out.
 #[derive(Clone, Debug)]
@@ -88,7 +87,7 @@ impl PlannedFrames {
 /// Runs experiments, one after the other.
 pub struct Evaluator<'a> {
     eyes: Eyes,
-    options: RecognitionOptions,
+    options: RobotOptions,
     keeps_pictures: bool,
     stop: &'a AtomicBool,
     watcher: &'a dyn Watcher,
@@ -102,7 +101,7 @@ impl<'a> Evaluator<'a> {
     #[must_use]
     pub fn new(
         eyes: Eyes,
-        options: RecognitionOptions,
+        options: RobotOptions,
         keeps_pictures: bool,
         (stop, watcher): (&'a AtomicBool, &'a dyn Watcher),
     ) -> Self {
@@ -206,7 +205,8 @@ impl<'a> Evaluator<'a> {
         methods: &[Method],
     ) -> Result<Vec<Answers>, EvaluationError> {
         let card = self.eyes.model.as_ref().map(|model| model.card());
-        let mut database = FrameDatabase::new(scene.reference, &self.eyes.vocabularies, card, &self.options);
+        let mut database =
+            FrameDatabase::new(scene.reference, &self.eyes.vocabularies, card, &self.options.recognition);
         let answers = |method: &Method| Answers {
             method: *method,
             database: Database::Frames,
@@ -237,7 +237,7 @@ impl<'a> Evaluator<'a> {
         let mut robot = Robot::new(method, &self.eyes, &self.options)?;
         let learnt = robot.walk(scene.reference, self.stop)?;
         let places = robot.places();
-        let mut robot = robot.reading_only();
+        let mut robot = robot.reading_only()?;
         let run = if is_own_past { learnt } else { robot.walk(scene.query, self.stop)? };
         let unknown = match scene.unknown {
             Some(traverse) => robot.walk(traverse, self.stop)?.answers,
@@ -256,9 +256,8 @@ impl<'a> Evaluator<'a> {
             score.figures.places_founded = Some(answers.places.len() as u64);
             score.figures.true_places = scene.true_places();
         }
-        let mistakes = || {
-            worst::mistakes(scene, answers, &judged, (&self.eyes.vocabularies, &self.options.verification))
-        };
+        let mistakes =
+            || worst::mistakes(scene, answers, &judged, (&self.eyes.vocabularies, &self.options.recognition));
         MethodResult {
             method: answers.method,
             database: answers.database,

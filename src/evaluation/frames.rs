@@ -4,20 +4,21 @@
 //! inliers; together they decide as `loci run` does: what the CNN accepts, else what geometry accepts,
 //! else nothing, and the likeliest of both comes first.
 
-use std::borrow::Cow;
-
 use super::answer::{Answer, Candidate, MAX_CANDIDATES};
 use super::results::Method;
 use super::traverse::{Observation, Traverse};
 use crate::cnn::ModelCard;
+use crate::feature::Features;
 use crate::recognition::{Evidence, RecognitionOptions, doubt, inlier_probability};
 use crate::retrieval::{BowVector, InvertedIndex};
 use crate::verification::{MatchingView, Verification, VerificationOptions, verify};
-use crate::vocabulary::{ConditionId, Quantised, VocabularySet};
+use crate::vocabulary::{Quantised, Vocabulary, VocabularySet};
 
 /// All frames of a traverse, ready to be searched.
 pub struct FrameDatabase<'a> {
     reference: &'a Traverse,
+    /// What a map would keep of every reference frame's features.
+    keyframes: Vec<Features>,
     vocabularies: &'a VocabularySet,
     model: Option<&'a ModelCard>,
     options: &'a RecognitionOptions,
@@ -25,33 +26,20 @@ pub struct FrameDatabase<'a> {
     indices: Vec<InvertedIndex>,
 }
 
-/// The geometry between a query frame and a reference frame, by the vocabulary of the query's light.
+/// The geometry between a query frame and a keyframe, by the vocabulary of the query's light.
 #[must_use]
 pub fn geometry(
     query: &Observation,
-    reference: &Observation,
+    keyframe: &Features,
     (vocabularies, options): (&VocabularySet, &VerificationOptions),
 ) -> Verification {
-    let groups = |seen: &Observation| -> Vec<u32> {
-        let quantised = quantised(seen, query.look.light.condition, vocabularies);
-        quantised.iter().map(|quantised| quantised.node.0).collect()
-    };
-    let (query_groups, reference_groups) = (groups(query), groups(reference));
+    let vocabulary = vocabularies.vocabulary(query.look.light.condition);
+    let query_groups: Vec<u32> = query.look.quantised.iter().map(|quantised| quantised.node.0).collect();
+    let keyframe_groups: Vec<u32> =
+        vocabulary.nodes(&keyframe.descriptors).iter().map(|node| node.0).collect();
     let query = MatchingView { features: &query.look.features, groups: &query_groups };
-    let reference = MatchingView { features: &reference.look.features, groups: &reference_groups };
-    verify(query, reference, options)
-}
-
-/// What the vocabulary of `condition` says of each feature.
-fn quantised<'a>(
-    seen: &'a Observation,
-    condition: ConditionId,
-    vocabularies: &VocabularySet,
-) -> Cow<'a, [Quantised]> {
-    if seen.look.light.condition == condition {
-        return Cow::Borrowed(&seen.look.quantised);
-    }
-    Cow::Owned(vocabularies.vocabulary(condition).quantise_all(&seen.look.features.descriptors))
+    let keyframe = MatchingView { features: keyframe, groups: &keyframe_groups };
+    verify(query, keyframe, options)
 }
 
 impl<'a> FrameDatabase<'a> {
@@ -63,15 +51,18 @@ impl<'a> FrameDatabase<'a> {
         model: Option<&'a ModelCard>,
         options: &'a RecognitionOptions,
     ) -> Self {
+        let kept = |seen: &Observation| seen.look.features.foremost(options.keyframe_features);
+        let keyframes: Vec<Features> = reference.observations.iter().map(kept).collect();
         let index = |condition| {
+            let vocabulary = vocabularies.vocabulary(condition);
             let mut index = InvertedIndex::default();
-            for observation in &reference.observations {
-                index.add(&bow(observation, condition, vocabularies));
+            for features in &keyframes {
+                index.add(&bow(&vocabulary.quantise_all(&features.descriptors), vocabulary));
             }
             index
         };
         let indices = vocabularies.conditions().map(index).collect();
-        Self { reference, vocabularies, model, options, indices }
+        Self { reference, keyframes, vocabularies, model, options, indices }
     }
 
     /// What each of `methods` finds for `query` among the first `horizon` reference frames.
@@ -115,14 +106,14 @@ impl<'a> FrameDatabase<'a> {
 
     fn by_bow_hv(&mut self, query: &Observation, horizon: usize) -> Answer {
         let condition = query.look.light.condition;
-        let bow = bow(query, condition, self.vocabularies);
+        let bow = bow(&query.look.quantised, self.vocabularies.vocabulary(condition));
         let retrieved =
             self.indices[usize::from(condition.0)].query(&bow, |document| (document.0 as usize) < horizon);
         let mut found: Vec<(u32, f32, usize)> = retrieved
             .iter()
             .map(|retrieved| {
                 let reference = retrieved.document.0 as usize;
-                let known = &self.reference.observations[reference];
+                let known = &self.keyframes[reference];
                 let verification = geometry(query, known, (self.vocabularies, &self.options.verification));
                 (verification.effective_inliers, retrieved.score, reference)
             })
@@ -141,9 +132,8 @@ impl<'a> FrameDatabase<'a> {
     }
 }
 
-fn bow(observation: &Observation, condition: ConditionId, vocabularies: &VocabularySet) -> BowVector {
-    let quantised = quantised(observation, condition, vocabularies);
-    BowVector::new(quantised.iter().map(|q| q.word), vocabularies.vocabulary(condition))
+fn bow(quantised: &[Quantised], vocabulary: &Vocabulary) -> BowVector {
+    BowVector::new(quantised.iter().map(|quantised| quantised.word), vocabulary)
 }
 
 /// The answer of one kind of evidence, whose best candidate is also the likeliest.

@@ -12,7 +12,7 @@ use super::EvaluationError;
 use super::answer::{Answer, Candidate};
 use super::results::Method;
 use super::traverse::{Eyes, Observation, Traverse};
-use crate::place_map::PlaceMap;
+use crate::place_map::{MapError, MapOptions, PlaceId, PlaceMap};
 use crate::recognition::{self, Decision, Look, Recogniser, Recognition, RecognitionOptions};
 
 /// What a robot answered along a traverse, and what it knew in the end.
@@ -21,6 +21,15 @@ pub struct MapRun {
     pub answers: Vec<Answer>,
     /// Time of retrieval and of verification and decision a frame, in microseconds.
     pub latency_us: Vec<(u64, u64)>,
+}
+
+/// How a robot decides, and how large its map may grow.
+#[derive(Clone, Debug)]
+pub struct RobotOptions {
+    /// Settings of the decision.
+    pub recognition: RecognitionOptions,
+    /// Settings of the map, which is kept in memory.
+    pub map: MapOptions,
 }
 
 /// A robot with a map in memory. Its experiences are the frames it saw while the map grew, in order.
@@ -36,28 +45,27 @@ impl<'a> Robot<'a> {
     ///
     /// # Errors
     /// If there is no map to be had.
-    pub fn new(
-        method: Method,
-        eyes: &'a Eyes,
-        options: &RecognitionOptions,
-    ) -> Result<Self, EvaluationError> {
-        let options = RecognitionOptions { read_only: false, ..options.clone() };
-        let recogniser = recogniser(method, eyes, PlaceMap::in_memory()?, options.clone());
+    pub fn new(method: Method, eyes: &'a Eyes, options: &RobotOptions) -> Result<Self, EvaluationError> {
+        let map = PlaceMap::in_memory(options.map)?;
+        let options = RecognitionOptions { read_only: false, ..options.recognition.clone() };
+        let recogniser = recogniser(method, eyes, map, options.clone())?;
         Ok(Self { method, eyes, options, recogniser })
     }
 
     /// From now on the map stays as it is.
-    #[must_use]
-    pub fn reading_only(self) -> Self {
+    ///
+    /// # Errors
+    /// If a keyframe cannot be read.
+    pub fn reading_only(self) -> Result<Self, EvaluationError> {
         let options = RecognitionOptions { read_only: true, ..self.options };
-        let recogniser = recogniser(self.method, self.eyes, self.recogniser.into_map(), options.clone());
-        Self { options, recogniser, ..self }
+        let recogniser = recogniser(self.method, self.eyes, self.recogniser.into_map(), options.clone())?;
+        Ok(Self { options, recogniser, ..self })
     }
 
     /// The frames of each place, in order.
     #[must_use]
     pub fn places(&self) -> Vec<Vec<usize>> {
-        let places = self.recogniser.map().places().iter();
+        let places = self.recogniser.map().places();
         places.map(|place| place.experiences.iter().map(|id| id.0 as usize).collect()).collect()
     }
 
@@ -77,11 +85,17 @@ impl<'a> Robot<'a> {
             let mut candidates = self.recogniser.retrieve(&look);
             let retrieval_us = started.elapsed().as_micros() as u64;
             let verification = self.recogniser.verify(&look, &mut candidates);
-            let recognition = self.recogniser.decide(&frame, &look, (candidates, verification), Vec::new)?;
+            let recognition = self.recogniser.decide(&frame, &look, (candidates, verification), Vec::new);
+            self.recogniser.take_map_failure().map_or(Ok(()), Err)?;
             let verification_us = started.elapsed().as_micros() as u64 - retrieval_us;
             run.answers.push(self.answer(&recognition));
             run.latency_us.push((retrieval_us, verification_us));
         }
+        // What a place was called when it was named may have turned out to be another one since.
+        run.answers.iter_mut().flat_map(|answer| &mut answer.candidates).for_each(|candidate| {
+            let place = candidate.place.and_then(|place| self.recogniser.map().place(PlaceId(place as u32)));
+            candidate.place = place.map(|place| place.id.0 as usize);
+        });
         Ok(run)
     }
 
@@ -111,7 +125,12 @@ impl<'a> Robot<'a> {
     }
 }
 
-fn recogniser(method: Method, eyes: &Eyes, map: PlaceMap, options: RecognitionOptions) -> Recogniser {
+fn recogniser(
+    method: Method,
+    eyes: &Eyes,
+    map: PlaceMap,
+    options: RecognitionOptions,
+) -> Result<Recogniser, MapError> {
     let model = eyes.model.as_ref().filter(|_| method != Method::BowHv).map(|model| model.card().clone());
     Recogniser::new(Arc::clone(&eyes.vocabularies), map, model, options)
 }

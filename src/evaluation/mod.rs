@@ -30,6 +30,7 @@ mod truth_plan;
 mod worst;
 
 pub use experiment::{Evaluator, ExperimentPlan, PlannedFrames};
+pub use map::RobotOptions;
 pub use spec::{ExperimentSpec, FramesSpec, Suite, TruthSettings};
 pub use traverse::{Eyes, Frames, Observation, Traverse, TraversePlan};
 pub use truth_plan::{NamedTolerance, TruthPlan, TruthSpec, TruthSpecError};

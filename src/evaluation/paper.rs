@@ -11,7 +11,7 @@ use std::sync::atomic::AtomicBool;
 use super::EvaluationError;
 use super::experiment::share_of;
 use super::ground_truth::Relation;
-use super::map::Robot;
+use super::map::{Robot, RobotOptions};
 use super::results::{Method, PaperProtocol, PublishedRow};
 use super::scene::Scene;
 use super::traverse::Eyes;
@@ -52,14 +52,15 @@ pub(super) fn settings() -> [(String, String); 3] {
 pub(super) fn protocol(
     scene: &Scene<'_>,
     eyes: &Eyes,
-    options: &RecognitionOptions,
+    options: &RobotOptions,
     stop: &AtomicBool,
 ) -> Result<PaperProtocol, EvaluationError> {
-    let options = RecognitionOptions { place_interval: PLACE_INTERVAL, ..options.clone() };
+    let recognition = RecognitionOptions { place_interval: PLACE_INTERVAL, ..options.recognition.clone() };
+    let options = RobotOptions { recognition, map: options.map };
     let mut robot = Robot::new(Method::BowHv, eyes, &options)?;
     robot.walk(scene.reference, stop)?;
     let clusters = robot.places();
-    let by_bow_hv = robot.reading_only().walk(scene.query, stop)?.answers;
+    let by_bow_hv = robot.reading_only()?.walk(scene.query, stop)?.answers;
     let classes = classes(&clusters);
     let held: usize = classes.iter().map(|class| class.len()).sum();
     let means: Vec<Option<Descriptor>> = classes.iter().map(|class| mean(scene, class)).collect();

@@ -8,7 +8,7 @@ use super::judgement::{Asked, Judged};
 use super::results::{ImagePair, Mistake, Picture};
 use super::scene::{Answers, Scene};
 use super::traverse::{Observation, Traverse};
-use crate::verification::VerificationOptions;
+use crate::recognition::RecognitionOptions;
 use crate::vocabulary::VocabularySet;
 
 /// Most mistakes of a kind that are shown.
@@ -21,7 +21,7 @@ pub(super) fn mistakes(
     scene: &Scene<'_>,
     answers: &Answers,
     judged: &[Judged],
-    eyes: (&VocabularySet, &VerificationOptions),
+    eyes: (&VocabularySet, &RecognitionOptions),
 ) -> Vec<ImagePair> {
     let mut accepts: Vec<&Judged> =
         judged.iter().filter(|judged| judged.is_given && judged.best == Relation::Different).collect();
@@ -67,7 +67,7 @@ fn miss(
     scene: &Scene<'_>,
     answers: &Answers,
     asked: Asked,
-    eyes: (&VocabularySet, &VerificationOptions),
+    eyes: (&VocabularySet, &RecognitionOptions),
 ) -> Option<ImagePair> {
     let Asked::Query(query) = asked else { return None };
     let answer = answers.of(asked)?;
@@ -88,11 +88,13 @@ fn pair(
     scene: &Scene<'_>,
     (mistake, asked, reference): (Mistake, Asked, usize),
     (confidence, reason): (f64, String),
-    eyes: (&VocabularySet, &VerificationOptions),
+    eyes: (&VocabularySet, &RecognitionOptions),
 ) -> Option<ImagePair> {
     let query = scene.observation(asked)?;
     let reference = scene.reference.observations.get(reference)?;
-    let verification = geometry(query, reference, eyes);
+    let (vocabularies, options) = eyes;
+    let keyframe = reference.look.features.foremost(options.keyframe_features);
+    let verification = geometry(query, &keyframe, (vocabularies, &options.verification));
     let share = |point: crate::geometry::Point, of: &Observation| {
         [point.x / of.look.features.width_px as f32, point.y / of.look.features.height_px as f32]
     };

@@ -72,6 +72,29 @@ impl Features {
         self.keypoints.is_empty()
     }
 
+    /// The `count` features that stand for all of them best, in their order: of every pyramid level the same share,
+    /// those first that the extractor chose first.
+    #[must_use]
+    pub fn foremost(&self, count: usize) -> Self {
+        if self.len() <= count {
+            return self.clone();
+        }
+        let mut ranked: Vec<(f32, usize)> = Vec::with_capacity(self.len());
+        for level in self.keypoints.chunk_by(|a, b| a.scale == b.scale) {
+            let start = ranked.len();
+            ranked.extend((0..level.len()).map(|rank| (rank as f32 / level.len() as f32, start + rank)));
+        }
+        ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        ranked.truncate(count);
+        ranked.sort_by_key(|&(_, index)| index);
+        Self {
+            width_px: self.width_px,
+            height_px: self.height_px,
+            keypoints: ranked.iter().map(|&(_, index)| self.keypoints[index]).collect(),
+            descriptors: ranked.iter().map(|&(_, index)| self.descriptors[index]).collect(),
+        }
+    }
+
     /// Length of the frame's diagonal in pixels, the unit of geometric tolerances.
     #[must_use]
     pub fn diagonal_px(&self) -> f32 {

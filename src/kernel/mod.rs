@@ -4,11 +4,13 @@
 //! can be held bit for bit against the simple one.
 
 mod blur;
+mod difference_hash;
 mod hamming;
 mod resize;
 mod segment;
 
 pub use blur::blur_7x7;
+pub use difference_hash::difference_hash;
 pub use hamming::{hamming, nearest};
 pub use resize::resize_bilinear;
 pub use segment::corner_scores;

@@ -19,11 +19,11 @@ pub use summary::{RunSummary, StageStatistics};
 use std::sync::atomic::AtomicBool;
 use std::thread;
 
-use crossbeam_channel::bounded;
+use crossbeam_channel::{Sender, bounded};
 
 use crate::cnn::{CnnError, DescriptorModel};
 use crate::feature::OrbExtractor;
-use crate::place_map::MapError;
+use crate::place_map::{Durability, MapError};
 use crate::recognition::Recogniser;
 use crate::source::{FrameSource, SourceError};
 use crate::telemetry::{FrameRecord, RecognitionSink, TelemetryError};
@@ -35,9 +35,6 @@ const QUEUE_FRAMES: usize = 4;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PipelineError {
-    /// What was learnt cannot be stored.
-    #[error(transparent)]
-    Map(#[from] MapError),
     /// A recognition cannot be delivered.
     #[error(transparent)]
     Telemetry(#[from] TelemetryError),
@@ -52,6 +49,8 @@ pub trait Watcher: Sync {
     fn skipped(&self, error: &SourceError);
     /// The CNN failed on a frame, which BoW+HV then decided alone.
     fn cnn_failed(&self, frame_name: &str, error: &CnnError);
+    /// The map could not be read or changed; unless the robot `goes_on_learning`, it is only read from here on.
+    fn map_failed(&self, failure: &MapError, goes_on_learning: bool);
     /// A frame was looked at.
     fn seen(&self, _seen: &Seen) {}
     /// A frame was decided.
@@ -76,18 +75,27 @@ impl Pipeline {
     /// Runs the stream to its end or until `stop` is set; then everything learnt is on the medium.
     ///
     /// # Errors
-    /// If the map cannot be written or a sink refuses a record.
+    /// If a sink refuses a record or no thread can be had. A map that fails ends nothing: the watcher hears of it.
     pub fn run(self, stop: &AtomicBool, watcher: &dyn Watcher) -> Result<RunSummary, PipelineError> {
         let Self { source, extractor, mut model, recogniser, sinks } = self;
         let vocabularies = recogniser.vocabularies().clone();
         let (to_sinks, records) = bounded(QUEUE_FRAMES);
+        let upkeep = match recogniser.map().options().durability {
+            Durability::Interval(interval) => Some((recogniser.map().syncer(), interval)),
+            Durability::Every | Durability::None => None,
+        };
         let shows_matched = sinks.iter().any(|sink| sink.shows_matched_keyframe());
         thread::scope(|scope| {
             let delivery = stages::named("sinks").spawn_scoped(scope, || stages::deliver(sinks, records))?;
             let perception =
                 Perception { extractor: &extractor, vocabularies: &vocabularies, model: model.as_mut() };
             let perceive = |visit: stages::Visit<'_>| perception.run(source, stop, watcher, visit);
+            let (keeping, ended) = bounded(0);
+            if let Some((syncer, interval)) = upkeep {
+                stages::named("map").spawn_scoped(scope, move || stages::keep(&syncer, interval, &ended))?;
+            }
             let recognised = stages::recognise(recogniser, perceive, (to_sinks, shows_matched), watcher);
+            drop::<Sender<()>>(keeping);
             let delivered = stages::joined(delivery);
             let summary = recognised?;
             match delivered {

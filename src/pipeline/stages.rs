@@ -4,17 +4,17 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::ScopedJoinHandle;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use std::{panic, thread};
 
-use crossbeam_channel::{Receiver, Sender};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
 use super::perception::{PerceptionLatency, Seen};
 use super::{PipelineError, RunSummary, Watcher};
 use crate::cnn::{self, CnnError, DescriptorModel};
 use crate::feature::{Features, OrbExtractor};
 use crate::frame::Frame;
-use crate::place_map::{MapError, PlaceMap};
+use crate::place_map::{JournalSyncer, MapError, PlaceMap};
 use crate::recognition::{Decision, Recogniser, Recognition};
 use crate::source::{FrameSource, thumbnail_jpeg};
 use crate::telemetry::{FrameRecord, MatchedKeyframe, RecognitionSink, StageLatency, TelemetryError};
@@ -140,22 +140,33 @@ pub(super) fn recognise(
 ) -> Result<RunSummary, PipelineError> {
     let mut summary = RunSummary::new(recogniser.has_cnn());
     let skipped = perceive(&mut |seen| {
-        let mut record = decide(&mut recogniser, seen)?;
+        let mut record = decide(&mut recogniser, seen);
+        let mut failure = recogniser.take_map_failure();
         if shows_matched {
-            record.matched = matched_keyframe(recogniser.map(), &record.recognition)?;
+            match matched_keyframe(recogniser.map(), &record.recognition) {
+                Ok(matched) => record.matched = matched,
+                Err(unreadable) => failure = failure.or(Some(unreadable)),
+            }
+        }
+        if let Some(failure) = failure {
+            watcher.map_failed(&failure, !recogniser.is_read_only());
+            summary.map_failures += 1;
         }
         summary.count(&record);
         watcher.decided(&record);
         let is_heard = to_sinks.send(record).is_ok();
         Ok(if is_heard { ControlFlow::Continue(()) } else { ControlFlow::Break(()) })
     })?;
-    recogniser.sync()?;
+    if let Err(failure) = recogniser.close() {
+        watcher.map_failed(&failure, false);
+        summary.map_failures += 1;
+    }
     summary.skipped = skipped;
     summary.map = Some(recogniser.map().summary());
     Ok(summary)
 }
 
-fn decide(recogniser: &mut Recogniser, seen: Seen) -> Result<FrameRecord, MapError> {
+fn decide(recogniser: &mut Recogniser, seen: Seen) -> FrameRecord {
     let Seen { frame, look, cnn, latency } = seen;
     let started = Instant::now();
     let mut candidates = recogniser.retrieve(&look);
@@ -163,26 +174,33 @@ fn decide(recogniser: &mut Recogniser, seen: Seen) -> Result<FrameRecord, MapErr
     let verification = recogniser.verify(&look, &mut candidates);
     let verification_us = micros(started) - retrieval_us;
     let thumbnail = || thumbnail_jpeg(&frame.colour);
-    let recognition = recogniser.decide(&frame, &look, (candidates, verification), thumbnail)?;
+    let recognition = recogniser.decide(&frame, &look, (candidates, verification), thumbnail);
     let PerceptionLatency { decode_us, features_us, cnn_us } = latency;
     let total_us = decode_us + features_us.max(cnn_us) + micros(started);
     let latency = StageLatency { decode_us, features_us, cnn_us, retrieval_us, verification_us, total_us };
-    Ok(FrameRecord { frame, look: Arc::new(look), recognition, matched: None, cnn, latency })
+    FrameRecord { frame, look: Arc::new(look), recognition, matched: None, cnn, latency }
 }
 
 fn matched_keyframe(map: &PlaceMap, recognition: &Recognition) -> Result<Option<MatchedKeyframe>, MapError> {
     let is_match = matches!(recognition.decision, Decision::Recognised | Decision::Revisited);
-    let experience = recognition.keyframe.filter(|_| is_match).and_then(|id| map.experience(id));
-    let Some((experience, keyframe)) = experience.and_then(|e| Some((e, e.keyframe.as_ref()?))) else {
-        return Ok(None);
-    };
+    // It may just have been given up.
+    let keyframe = recognition.keyframe.filter(|&id| is_match && map.experience(id).is_some());
+    let Some(experience) = keyframe else { return Ok(None) };
+    let features = map.features(experience)?;
     Ok(Some(MatchedKeyframe {
-        experience: experience.id,
-        frame_name: experience.frame_name.clone(),
-        width_px: keyframe.features.width_px,
-        height_px: keyframe.features.height_px,
-        thumbnail_jpeg: map.thumbnail_jpeg(experience.id)?,
+        experience,
+        frame_name: map.origin(experience)?.frame_name,
+        width_px: features.width_px,
+        height_px: features.height_px,
+        thumbnail_jpeg: map.thumbnail_jpeg(experience)?,
     }))
+}
+
+/// Brings the map onto its medium every `interval`, until `ended` is closed.
+pub(super) fn keep(syncer: &JournalSyncer, interval: Duration, ended: &Receiver<()>) {
+    while ended.recv_timeout(interval) == Err(RecvTimeoutError::Timeout) {
+        syncer.sync();
+    }
 }
 
 /// Hands every record to every sink, until one refuses.

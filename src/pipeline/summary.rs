@@ -20,6 +20,8 @@ pub struct RunSummary {
     pub skipped: u64,
     /// Frames on which the CNN failed.
     pub cnn_failures: u64,
+    /// Times that the map could not be read or changed.
+    pub map_failures: u64,
     /// Whether a CNN took part.
     pub has_cnn: bool,
     /// Frames a decision, by the decision's word.
@@ -50,6 +52,7 @@ impl RunSummary {
             frames: 0,
             skipped: 0,
             cnn_failures: 0,
+            map_failures: 0,
             has_cnn,
             decisions: BTreeMap::new(),
             map: None,
@@ -84,7 +87,7 @@ impl RunSummary {
     /// Whether something was lost on the way.
     #[must_use]
     pub fn lost_something(&self) -> bool {
-        self.skipped + self.cnn_failures > 0
+        self.skipped + self.cnn_failures + self.map_failures > 0
     }
 
     /// Latency of every stage.

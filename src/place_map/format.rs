@@ -1,71 +1,132 @@
-//! What the journal of a map holds: one bincode record an event, behind a version of its own.
+//! What the records of a map hold: one bincode payload each, behind the log's envelope.
 //!
-//! The file is `journal-000001.loci`, a record log as described in [`crate::storage`]. A payload is one
-//! [`Record`] in bincode 2 with little-endian fixed-size integers. Keypoints are packed to 11 bytes.
+//! Integers are little-endian and of fixed size. An experience is written in up to three records, one after the
+//! other: its features, its thumbnail, and then itself, which points back to both. So recognition reads what it
+//! needs, and a power cut between them leaves no half experience.
 
 use std::f32::consts::PI;
 
 use bincode::config::{Configuration, Fixint, Limit, LittleEndian};
 use bincode::{Decode, Encode};
 
+use super::{Appearance, ExperienceId, VocabularyWords};
+use crate::cnn::{self, CompactDescriptor};
 use crate::feature::{Descriptor, Features, Keypoint};
+use crate::frame::Pose;
 use crate::geometry::Point;
-use crate::storage::FileKind;
+use crate::storage::{Envelope, FileKind};
+use crate::vocabulary::WordId;
 
-/// Magic, version and name of the journal.
-pub(super) const KIND: FileKind = FileKind { magic: *b"LOCIMAP\0", version: 1, name: "map journal" };
-/// Name of the journal in the map's folder.
-pub(super) const JOURNAL_NAME: &str = "journal-000001.loci";
+/// Magic, version and name of a segment of the journal.
+pub(super) const KIND: FileKind = FileKind { magic: *b"LOCIMAP\0", version: 2, name: "map journal" };
 
-/// Longest record in bytes; a hostile length stops here instead of allocating.
-const MAX_RECORD_BYTES: usize = 16 << 20;
+/// A place as it is now; the last record of a place counts.
+pub(super) const PLACE: Envelope = Envelope { kind: 1, version: 1 };
+/// An experience; the last record of an experience counts.
+pub(super) const EXPERIENCE: Envelope = Envelope { kind: 2, version: 1 };
+/// The features of a keyframe.
+pub(super) const FEATURES: Envelope = Envelope { kind: 3, version: 1 };
+/// The thumbnail of an experience: the bytes of a JPEG.
+pub(super) const THUMBNAIL: Envelope = Envelope { kind: 4, version: 1 };
+/// Experiences that were given up.
+pub(super) const THINNED: Envelope = Envelope { kind: 5, version: 1 };
+
+/// Longest payload in bytes; a hostile length stops here instead of allocating.
+const MAX_PAYLOAD_BYTES: usize = 16 << 20;
 /// Positions are stored in eighths of a pixel, which covers 8,192 px.
 const STEPS_PER_PX: f32 = 8.0;
 /// Angles are stored in 1/32,768 of half a turn.
 const STEPS_PER_HALF_TURN: f32 = 32_768.0;
+/// Scales are stored as powers of the eighth root of 1.2, so that those of the usual pyramid are exact; step 96 is
+/// scale 1, step 0 is 0.11, step 255 is 37.
+const STEPS_PER_OCTAVE: f32 = 8.0;
+const OCTAVE: f32 = 1.2;
+const STEP_OF_ONE: f32 = 96.0;
 
-fn configuration() -> Configuration<LittleEndian, Fixint, Limit<MAX_RECORD_BYTES>> {
+fn configuration() -> Configuration<LittleEndian, Fixint, Limit<MAX_PAYLOAD_BYTES>> {
     bincode::config::standard().with_fixed_int_encoding().with_limit()
 }
 
-/// An event in the life of a map.
-#[derive(Debug, Encode, Decode)]
-pub(super) enum Record {
-    /// A place was founded; places are numbered in the order of these records.
-    Founded,
-    /// A place was given a name.
-    Named { place: u32, name: String },
-    /// A place got an experience whose light is not known: from before light was noted.
-    Experienced(Box<ExperienceRecord>),
-    /// A place got an experience, in a frame of this mean luminance.
-    ExperiencedInLight(f32, Box<ExperienceRecord>),
+/// Packs a record.
+pub(super) fn encode(record: &impl Encode) -> Result<Vec<u8>, String> {
+    bincode::encode_to_vec(record, configuration()).map_err(|error| error.to_string())
 }
 
-#[derive(Debug, Encode, Decode)]
-pub(super) struct ExperienceRecord {
+/// A record from its payload, whose checksum was right; an error means that it is not what it says to be.
+pub(super) fn decode<R: Decode<()>>(payload: &[u8]) -> Result<R, String> {
+    let (record, read) =
+        bincode::decode_from_slice(payload, configuration()).map_err(|error| error.to_string())?;
+    match payload.len() - read {
+        0 => Ok(record),
+        rest => Err(format!("{rest} bytes too many")),
+    }
+}
+
+/// Takes the next of many records that stand one after the other off the front of `bytes`.
+pub(super) fn take<R: Decode<()>>(bytes: &mut &[u8]) -> Result<R, String> {
+    let (record, read) =
+        bincode::decode_from_slice(bytes, configuration()).map_err(|error| error.to_string())?;
+    *bytes = &bytes[read..];
+    Ok(record)
+}
+
+#[derive(Clone, Debug, Encode, Decode, PartialEq)]
+pub(super) struct PlaceRecord {
     pub(super) place: u32,
-    pub(super) is_keyframe: bool,
+    pub(super) name: Option<String>,
+    /// The place that it turned out to be.
+    pub(super) merged_into: Option<u32>,
+    /// The places next to it along the way, the latest last.
+    pub(super) neighbours: Vec<u32>,
+}
+
+#[derive(Clone, Debug, Encode, Decode)]
+pub(super) struct ExperienceRecord {
+    pub(super) experience: u32,
+    pub(super) place: u32,
     pub(super) frame_index: u64,
     pub(super) frame_name: String,
     pub(super) capture_nanos: i64,
     /// Position x y z, then orientation x y z w.
     pub(super) pose: Option<[f64; 7]>,
-    pub(super) width_px: u32,
-    pub(super) height_px: u32,
-    pub(super) keypoints: Vec<PackedKeypoint>,
-    pub(super) descriptors: Vec<[u8; 32]>,
-    /// Model and descriptor.
-    pub(super) appearance: Option<(String, Vec<f32>)>,
-    pub(super) thumbnail_jpeg: Vec<u8>,
+    /// 0 to 255.
+    pub(super) mean_luminance: Option<f32>,
+    /// Difference hash of the frame.
+    pub(super) view: u64,
+    /// Bytes from the thumbnail's record to this one; 0 if there is none.
+    pub(super) thumbnail_back_bytes: u32,
+    pub(super) keyframe: Option<KeyframeRecord>,
+}
+
+#[derive(Clone, Debug, Encode, Decode)]
+pub(super) struct KeyframeRecord {
+    /// Bytes from the features' record to this one.
+    pub(super) features_back_bytes: u32,
+    /// By vocabulary.
+    pub(super) words: Vec<(u64, Vec<u32>)>,
+    /// Model; values in steps.
+    pub(super) appearance: Option<(String, Vec<i8>)>,
+}
+
+#[derive(Clone, Debug, Encode, Decode)]
+pub(super) struct FeaturesRecord {
+    width_px: u32,
+    height_px: u32,
+    keypoints: Vec<PackedKeypoint>,
+    descriptors: Vec<[u8; 32]>,
+}
+
+#[derive(Clone, Debug, Encode, Decode)]
+pub(super) struct ThinnedRecord {
+    pub(super) experiences: Vec<u32>,
 }
 
 #[derive(Debug, Clone, Copy, Encode, Decode)]
-pub(super) struct PackedKeypoint {
+struct PackedKeypoint {
     x_steps: u16,
     y_steps: u16,
-    scale: f32,
     angle_steps: i16,
-    response: u8,
+    scale_steps: u8,
 }
 
 impl From<&Keypoint> for PackedKeypoint {
@@ -73,52 +134,46 @@ impl From<&Keypoint> for PackedKeypoint {
         Self {
             x_steps: (keypoint.point.x * STEPS_PER_PX).round() as u16,
             y_steps: (keypoint.point.y * STEPS_PER_PX).round() as u16,
-            scale: keypoint.scale,
             angle_steps: (keypoint.angle_radians / PI * STEPS_PER_HALF_TURN).round() as i16,
-            response: keypoint.response,
+            scale_steps: (keypoint.scale.log(OCTAVE) * STEPS_PER_OCTAVE + STEP_OF_ONE).round() as u8,
         }
     }
 }
 
 impl From<&PackedKeypoint> for Keypoint {
+    /// The response served to choose the feature and is not kept.
     fn from(packed: &PackedKeypoint) -> Self {
+        let octaves = (f32::from(packed.scale_steps) - STEP_OF_ONE) / STEPS_PER_OCTAVE;
         Self {
             point: Point {
                 x: f32::from(packed.x_steps) / STEPS_PER_PX,
                 y: f32::from(packed.y_steps) / STEPS_PER_PX,
             },
-            scale: packed.scale,
+            scale: OCTAVE.powf(octaves),
             angle_radians: f32::from(packed.angle_steps) / STEPS_PER_HALF_TURN * PI,
-            response: packed.response,
+            response: 0,
         }
     }
 }
 
-impl Record {
-    pub(super) fn encode(&self) -> Result<Vec<u8>, String> {
-        bincode::encode_to_vec(self, configuration()).map_err(|error| error.to_string())
-    }
-
-    /// A record from its payload, whose checksum was right; an error means another version's bytes.
-    pub(super) fn decode(payload: &[u8]) -> Result<Self, String> {
-        let (record, read) =
-            bincode::decode_from_slice(payload, configuration()).map_err(|error| error.to_string())?;
-        if read == payload.len() {
-            Ok(record)
-        } else {
-            Err(format!("{} bytes too many", payload.len() - read))
+impl From<&Features> for FeaturesRecord {
+    fn from(features: &Features) -> Self {
+        Self {
+            width_px: features.width_px,
+            height_px: features.height_px,
+            keypoints: features.keypoints.iter().map(PackedKeypoint::from).collect(),
+            descriptors: features.descriptors.iter().map(|descriptor| descriptor.0).collect(),
         }
     }
 }
 
-impl ExperienceRecord {
-    /// The features; `None` if keypoints and descriptors are not equally many or make no sense.
-    pub(super) fn features(&self) -> Option<Features> {
-        let sound = |keypoint: &PackedKeypoint| keypoint.scale.is_finite() && keypoint.scale > 0.0;
-        if self.keypoints.len() != self.descriptors.len() || !self.keypoints.iter().all(sound) {
-            return None;
+impl FeaturesRecord {
+    /// The features; an error if keypoints and descriptors are not equally many.
+    pub(super) fn unpacked(&self) -> Result<Features, String> {
+        if self.keypoints.len() != self.descriptors.len() {
+            return Err("its features do not fit together".to_owned());
         }
-        Some(Features {
+        Ok(Features {
             width_px: self.width_px,
             height_px: self.height_px,
             keypoints: self.keypoints.iter().map(Keypoint::from).collect(),
@@ -127,35 +182,51 @@ impl ExperienceRecord {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn a_packed_keypoint_moves_less_than_its_precision(
-            x in 0.0..8000.0_f32, y in 0.0..8000.0_f32, angle_radians in -3.1..3.1_f32, response in any::<u8>(),
-        ) {
-            let keypoint = Keypoint { point: Point { x, y }, scale: 1.44, angle_radians, response };
-            let unpacked = Keypoint::from(&PackedKeypoint::from(&keypoint));
-            prop_assert!(unpacked.point.distance_squared(keypoint.point).sqrt() <= 0.09);
-            prop_assert!((unpacked.angle_radians - angle_radians).abs() < 2e-4);
-            prop_assert_eq!((unpacked.scale, unpacked.response), (1.44, response));
-        }
-
-        #[test]
-        fn foreign_bytes_are_refused_without_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
-            if let Ok(record) = Record::decode(&bytes) {
-                prop_assert_eq!(record.encode().unwrap(), bytes);
-            }
-        }
+impl KeyframeRecord {
+    pub(super) fn new(
+        features_back_bytes: u32,
+        words: &[VocabularyWords],
+        appearance: Option<&Appearance>,
+    ) -> Self {
+        let words =
+            words.iter().map(|words| (words.vocabulary, words.words.iter().map(|word| word.0).collect()));
+        let appearance = appearance.map(|a| (a.model.clone(), a.descriptor.values().to_vec()));
+        Self { features_back_bytes, words: words.collect(), appearance }
     }
 
-    #[test]
-    fn a_hostile_length_is_refused_before_it_is_allocated() {
-        let mut bytes = Record::Named { place: 0, name: "dock".to_owned() }.encode().unwrap();
-        bytes[8..16].copy_from_slice(&u64::MAX.to_le_bytes());
-        assert!(Record::decode(&bytes).is_err());
+    pub(super) fn unpacked_words(&self) -> Vec<VocabularyWords> {
+        let unpacked = |(vocabulary, words): &(u64, Vec<u32>)| VocabularyWords {
+            vocabulary: *vocabulary,
+            words: words.iter().copied().map(WordId).collect(),
+        };
+        self.words.iter().map(unpacked).collect()
+    }
+
+    pub(super) fn unpacked_appearance(&self) -> Result<Option<Appearance>, String> {
+        let Some((model, values)) = &self.appearance else { return Ok(None) };
+        let descriptor =
+            CompactDescriptor::from_values(values.clone()).ok_or("its CNN descriptor has no direction")?;
+        Ok(Some(Appearance { model: model.clone(), descriptor }))
+    }
+}
+
+/// The descriptor of before, packed as it is now.
+pub(super) fn packed_appearance(model: String, values: Vec<f32>) -> Result<Appearance, String> {
+    let descriptor = cnn::Descriptor::from_values(values).ok_or("its CNN descriptor has no direction")?;
+    Ok(Appearance { model, descriptor: CompactDescriptor::from(&descriptor) })
+}
+
+pub(super) fn pack_pose(pose: Pose) -> [f64; 7] {
+    let ([x, y, z], [qx, qy, qz, qw]) = (pose.position_metres, pose.orientation);
+    [x, y, z, qx, qy, qz, qw]
+}
+
+pub(super) fn unpack_pose([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Pose {
+    Pose { position_metres: [x, y, z], orientation: [qx, qy, qz, qw] }
+}
+
+impl ThinnedRecord {
+    pub(super) fn new(experiences: &[ExperienceId]) -> Self {
+        Self { experiences: experiences.iter().map(|id| id.0).collect() }
     }
 }

@@ -1,156 +1,230 @@
-//! The map itself: opened from its journal, grown record by record.
+//! The map itself: opened from its folder, read, and grown record by record.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
 
-use super::format::{ExperienceRecord, JOURNAL_NAME, KIND, PackedKeypoint, Record};
-use super::{Appearance, Experience, ExperienceId, Keyframe, MapError, Place, PlaceId};
-use crate::cnn;
+use super::batch::Batch;
+use super::contents::{Contents, MAX_NEIGHBOURS};
+use super::format::{self, PLACE, PlaceRecord, THINNED, ThinnedRecord};
+use super::journal::{Journal, JournalSyncer, segment_numbers};
+use super::snapshot::{self, Snapshot};
+use super::thinning::{self, Glimpse};
+use super::upkeep::Upkeep;
+use super::{Durability, ExperienceId, MapError, MapOptions, Place, PlaceId, Traits};
 use crate::feature::Features;
-use crate::frame::{Frame, Pose};
-use crate::storage::{FileLog, LogStore, MemoryLog, RecordLog, Recovery, StorageError, WriterLock};
+use crate::frame::Frame;
+use crate::storage::{
+    BESIDE_SUFFIX, DiskFolder, Envelope, Folder, MemoryFolder, RecordLog, Recovery, StorageError, WriterLock,
+};
 
-/// Records after which the journal is synced to the medium: what a power cut may lose at most.
-const SYNC_EVERY_RECORDS: u32 = 16;
+/// Times that a reader begins anew because a segment was deleted while it opened the map.
+pub(super) const READER_ATTEMPTS: u32 = 5;
 
 /// An experience to be added to a place.
 #[derive(Clone, Copy)]
 pub struct NewExperience<'a> {
     /// The frame it comes from.
     pub frame: &'a Frame,
-    /// Its ORB features.
-    pub features: &'a Features,
-    /// Its CNN descriptor, if a CNN is running.
-    pub appearance: Option<&'a Appearance>,
+    /// Difference hash of the frame.
+    pub view: u64,
     /// Mean luminance of the frame, 0 to 255.
     pub mean_luminance: f32,
     /// A small JPEG for retraining and for people.
     pub thumbnail_jpeg: &'a [u8],
-    /// Whether the place is to be recognised by it.
-    pub is_keyframe: bool,
+    /// Features and what they are found by, if the place is to be recognised by it.
+    pub keyframe: Option<(&'a Features, &'a Traits)>,
 }
 
-/// What is in a map.
+/// What became of an experience.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct MapSummary {
-    /// Number of places.
-    pub places: usize,
-    /// Number of places with a name.
-    pub named_places: usize,
-    /// Number of experiences.
-    pub experiences: usize,
-    /// Number of those by which places are recognised.
-    pub keyframes: usize,
-    /// Length of the journal in bytes.
-    pub journal_bytes: u64,
-    /// Bytes of a torn last record that opening found.
-    pub torn_bytes: u64,
-    /// Hashes of the models whose descriptors it holds, sorted.
-    pub models: Vec<String>,
+pub struct Learnt {
+    /// The place.
+    pub place: PlaceId,
+    /// Its number, unless it told nothing that the place's others do not.
+    pub experience: Option<ExperienceId>,
+    /// Keyframes that were given up for it or for the budget.
+    pub given_up: Vec<ExperienceId>,
 }
 
 /// A growing map.
 pub struct PlaceMap {
-    contents: Contents,
-    journal: RecordLog,
-    unsynced_records: u32,
-    recovery: Recovery,
+    pub(super) contents: Contents,
+    pub(super) journal: Journal,
+    pub(super) folder: Arc<dyn Folder>,
+    pub(super) options: MapOptions,
+    pub(super) upkeep: Upkeep,
+    pub(super) recovery: Recovery,
+    snapshot_fault: Option<StorageError>,
+    /// The place of the experience before.
+    latest_place: Option<PlaceId>,
+    is_writable: bool,
     /// Kept for as long as the map may be written.
     _lock: Option<WriterLock>,
 }
 
 impl PlaceMap {
-    /// A map in memory, gone with the process.
+    /// A map in memory, gone with the process; its journal takes at most the bytes that the disk's may.
     ///
     /// # Errors
     /// Never in practice: memory takes every record.
-    pub fn in_memory() -> Result<Self, MapError> {
-        Self::replay(Box::new(MemoryLog::default()), Path::new("map in memory"), None, true)
+    pub fn in_memory(options: MapOptions) -> Result<Self, MapError> {
+        Self::open_folder(Arc::new(MemoryFolder::default()), Some(options), None)
     }
 
-    /// Opens the map in `folder` for writing, or makes one. A torn last record is cut off.
+    /// Opens the map in `folder` for writing, or makes one. A torn tail of its journal is cut off.
     ///
     /// # Errors
     /// If the folder cannot be written, another process writes it, or the journal is damaged.
-    pub fn open(folder: &Path) -> Result<Self, MapError> {
+    pub fn open(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
         fs::create_dir_all(folder).map_err(StorageError::io("create map folder", folder))?;
         let lock = WriterLock::acquire(folder)?;
-        let path = folder.join(JOURNAL_NAME);
-        let store = FileLog::open(&path, true)?;
-        Self::replay(Box::new(store), &path, Some(lock), true)
+        Self::open_folder(Arc::new(DiskFolder::new(folder)), Some(options), Some(lock))
     }
 
-    /// Opens the map in `folder` for reading; other processes may read and one may write it.
+    /// Opens the map in `folder` for writing, as [`open`](Self::open), if there is one.
+    ///
+    /// # Errors
+    /// If there is none, or as for [`open`](Self::open).
+    pub fn open_existing(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
+        if !folder.is_dir() || segment_numbers(&DiskFolder::new(folder))?.is_empty() {
+            return Err(MapError::Missing { path: folder.to_owned() });
+        }
+        Self::open(folder, options)
+    }
+
+    /// Opens the map in `folder` for reading, as it is now; other processes may read and one may write it.
     ///
     /// # Errors
     /// If there is no map or the journal is damaged.
     pub fn open_read_only(folder: &Path) -> Result<Self, MapError> {
-        let path: PathBuf = folder.join(JOURNAL_NAME);
-        if !path.exists() {
-            return Err(MapError::Missing { path: folder.to_owned() });
+        let opened = || Self::open_folder(Arc::new(DiskFolder::new(folder)), None, None);
+        let missing = || MapError::Missing { path: folder.to_owned() };
+        let mut map = opened();
+        for _ in 1..READER_ATTEMPTS {
+            match &map {
+                Err(MapError::Storage(StorageError::Io { source, .. }))
+                    if source.kind() == io::ErrorKind::NotFound =>
+                {
+                    if !folder.is_dir() {
+                        return Err(missing());
+                    }
+                    map = opened();
+                }
+                _ => break,
+            }
         }
-        let store = FileLog::open(&path, false)?;
-        Self::replay(Box::new(store), &path, None, false)
+        map.and_then(|map| if map.journal.active_number() == 0 { Err(missing()) } else { Ok(map) })
     }
 
-    fn replay(
-        store: Box<dyn LogStore>,
-        path: &Path,
+    /// Opens the map in `folder`, for writing if there are `options`.
+    pub(super) fn open_folder(
+        folder: Arc<dyn Folder>,
+        options: Option<MapOptions>,
         lock: Option<WriterLock>,
-        writable: bool,
     ) -> Result<Self, MapError> {
-        let mut contents = Contents::default();
-        let (journal, recovery) = RecordLog::open(store, &KIND, path, writable, |offset, payload| {
-            Record::decode(payload).and_then(|record| contents.apply(record, offset)).map_err(|reason| {
-                let reason = format!("record at byte {offset}: {reason}");
-                StorageError::Damaged { path: path.to_owned(), reason }
-            })
-        })?;
-        Ok(Self { contents, journal, unsynced_records: 0, recovery, _lock: lock })
-    }
-
-    /// Founds a place.
-    ///
-    /// # Errors
-    /// If the journal cannot be written.
-    pub fn found_place(&mut self) -> Result<PlaceId, MapError> {
-        self.write(Record::Founded)?;
-        Ok(PlaceId(self.contents.places.len() as u32 - 1))
-    }
-
-    /// Adds an experience to `place`.
-    ///
-    /// # Errors
-    /// If there is no such place, the frame cannot be stored or the journal not be written.
-    pub fn add_experience(
-        &mut self,
-        place: PlaceId,
-        new: &NewExperience<'_>,
-    ) -> Result<ExperienceId, MapError> {
-        let record = ExperienceRecord {
-            place: place.0,
-            is_keyframe: new.is_keyframe,
-            frame_index: new.frame.index,
-            frame_name: new.frame.name.clone(),
-            capture_nanos: new.frame.capture_nanos,
-            pose: new.frame.pose.map(pack_pose),
-            width_px: new.features.width_px,
-            height_px: new.features.height_px,
-            keypoints: new.features.keypoints.iter().map(PackedKeypoint::from).collect(),
-            descriptors: new.features.descriptors.iter().map(|descriptor| descriptor.0).collect(),
-            appearance: new.appearance.map(|a| (a.model.clone(), a.descriptor.as_slice().to_vec())),
-            thumbnail_jpeg: new.thumbnail_jpeg.to_vec(),
+        let (snapshot, snapshot_fault) = match snapshot::read(folder.as_ref()) {
+            Ok(snapshot) => (snapshot.unwrap_or_default(), None),
+            Err(fault @ (StorageError::Damaged { .. } | StorageError::WrongKind { .. })) => {
+                (Snapshot::default(), Some(fault))
+            }
+            Err(error) => return Err(error.into()),
         };
-        self.write(Record::ExperiencedInLight(new.mean_luminance, Box::new(record)))?;
-        Ok(ExperienceId(self.contents.experiences.len() as u32 - 1))
+        let Snapshot { position, mut contents, length_bytes } = snapshot;
+        let is_writable = options.is_some();
+        if is_writable {
+            remove_leftovers(folder.as_ref())?;
+        }
+        let (journal, recovery) = Journal::open(folder.clone(), is_writable, position, &mut contents)?;
+        Ok(Self {
+            contents,
+            journal,
+            folder,
+            options: options.unwrap_or_default(),
+            upkeep: Upkeep::new(length_bytes),
+            recovery,
+            snapshot_fault,
+            latest_place: None,
+            is_writable,
+            _lock: lock,
+        })
+    }
+
+    /// Adds an experience to `place`, or to a new one, and forgets what the budget has no room for.
+    ///
+    /// # Errors
+    /// If there is no such place, the map is full or read-only, or the medium fails. After a failure of the medium
+    /// the map stays as it is: every further change fails.
+    pub fn learn(&mut self, place: Option<PlaceId>, new: &NewExperience<'_>) -> Result<Learnt, MapError> {
+        let id = ExperienceId(self.contents.next_experience);
+        let place = match place {
+            Some(place) => self.existing(place)?,
+            None => PlaceId(self.contents.places.len() as u32),
+        };
+        let given_up = self.given_up_for(id, place, new);
+        if given_up == Some(id) {
+            self.latest_place = Some(place);
+            return Ok(Learnt { place, experience: None, given_up: Vec::new() });
+        }
+        let mut batch = Batch::default();
+        for record in self.linked(place) {
+            batch.add(PLACE, format::encode(&record))?;
+        }
+        batch.add_experience(id, place, new)?;
+        if let Some(given_up) = given_up {
+            batch.add(THINNED, format::encode(&ThinnedRecord::new(&[given_up])))?;
+        }
+        let mut forgotten: Vec<ExperienceId> =
+            given_up.filter(|&id| self.is_keyframe(id)).into_iter().collect();
+        forgotten.extend(self.make_room(batch.length_bytes())?);
+        self.write(&batch)?;
+        self.latest_place = Some(place);
+        Ok(Learnt { place, experience: Some(id), given_up: forgotten })
     }
 
     /// Gives `place` a name, or another one.
     ///
     /// # Errors
-    /// If there is no such place or the journal cannot be written.
+    /// If there is no such place, or as for [`learn`](Self::learn).
     pub fn name_place(&mut self, place: PlaceId, name: &str) -> Result<(), MapError> {
-        self.write(Record::Named { place: place.0, name: name.to_owned() })
+        let place = self.existing(place)?;
+        let record = self.contents.places[&place].record();
+        self.write_place(PlaceRecord { name: Some(name.to_owned()), ..record })
+    }
+
+    /// From now on `from` is `into`, and its number another name for that one. A name that only `from` has goes along.
+    ///
+    /// # Errors
+    /// If there is no such place or both are one already, or as for [`learn`](Self::learn).
+    pub fn merge_places(&mut self, from: PlaceId, into: PlaceId) -> Result<(), MapError> {
+        let (from, into) = (self.existing(from)?, self.existing(into)?);
+        if from == into {
+            return Err(MapError::Merge { place: from.0, reason: "both are one place already" });
+        }
+        let merged = self.contents.places[&from].record();
+        let kept = self.contents.places[&into].record();
+        let mut batch = Batch::default();
+        if kept.name.is_none() && merged.name.is_some() {
+            let kept = PlaceRecord { name: merged.name.clone(), ..kept };
+            batch.add(PLACE, format::encode(&kept))?;
+        }
+        batch.add(PLACE, format::encode(&PlaceRecord { merged_into: Some(into.0), ..merged }))?;
+        self.write(&batch)
+    }
+
+    /// Undoes the merge of `place` into another one: what was learnt as `place` is its own again.
+    ///
+    /// # Errors
+    /// If there is no such place or it is not merged, or as for [`learn`](Self::learn).
+    pub fn split_place(&mut self, place: PlaceId) -> Result<(), MapError> {
+        let Some(found) = self.contents.places.get(&place) else {
+            return Err(MapError::NoPlace { place: place.0 });
+        };
+        if found.merged_into.is_none() {
+            return Err(MapError::Merge { place: place.0, reason: "it is not merged into another one" });
+        }
+        self.write_place(PlaceRecord { merged_into: None, ..found.record() })
     }
 
     /// Returns when everything added so far would survive a power cut.
@@ -158,294 +232,157 @@ impl PlaceMap {
     /// # Errors
     /// If the medium fails.
     pub fn sync(&mut self) -> Result<(), MapError> {
-        self.unsynced_records = 0;
-        Ok(self.journal.sync()?)
+        if self.is_writable { self.guarded(|map| Ok(map.journal.sync()?)) } else { Ok(()) }
     }
 
-    /// All places, oldest first; `places()[id.0]` is the place `id`.
+    /// What can sync the map from another thread.
     #[must_use]
-    pub fn places(&self) -> &[Place] {
-        &self.contents.places
+    pub fn syncer(&self) -> JournalSyncer {
+        self.journal.syncer()
     }
 
-    /// All experiences, oldest first.
+    /// Whether the map can be changed: it was opened for writing, and nothing failed since.
     #[must_use]
-    pub fn experiences(&self) -> &[Experience] {
-        &self.contents.experiences
+    pub fn is_writable(&self) -> bool {
+        self.is_writable
     }
 
-    /// The place numbered `id`.
+    /// The settings that it is written with.
     #[must_use]
-    pub fn place(&self, id: PlaceId) -> Option<&Place> {
-        self.contents.places.get(id.0 as usize)
+    pub fn options(&self) -> &MapOptions {
+        &self.options
     }
 
-    /// The experience numbered `id`.
+    /// What was wrong with the snapshot, if opening had to do without.
     #[must_use]
-    pub fn experience(&self, id: ExperienceId) -> Option<&Experience> {
-        self.contents.experiences.get(id.0 as usize)
+    pub fn snapshot_fault(&self) -> Option<&StorageError> {
+        self.snapshot_fault.as_ref()
     }
 
-    /// The thumbnail of an experience, read from the journal: the bytes of a JPEG.
-    ///
-    /// # Errors
-    /// If there is no such experience or its record cannot be read.
-    pub fn thumbnail_jpeg(&self, id: ExperienceId) -> Result<Vec<u8>, MapError> {
-        let unreadable = |reason: String| MapError::Unreadable { experience: id.0, reason };
-        let experience = self.experience(id).ok_or_else(|| unreadable("it is not in the map".to_owned()))?;
-        match Record::decode(&self.journal.read(experience.record_offset)?) {
-            Ok(Record::Experienced(record) | Record::ExperiencedInLight(_, record)) => {
-                Ok(record.thumbnail_jpeg)
-            }
-            Ok(_) => Err(unreadable("its record is another one".to_owned())),
-            Err(reason) => Err(unreadable(reason)),
+    fn existing(&self, place: PlaceId) -> Result<PlaceId, MapError> {
+        let found = self.place(place).ok_or(MapError::NoPlace { place: place.0 })?;
+        Ok(found.id)
+    }
+
+    /// The experience that tells least in a place that has enough of them: perhaps the new one, unless it is a
+    /// keyframe.
+    fn given_up_for(
+        &self,
+        id: ExperienceId,
+        place: PlaceId,
+        new: &NewExperience<'_>,
+    ) -> Option<ExperienceId> {
+        let place = self.contents.places.get(&place)?;
+        if place.experiences.len() < self.options.place_experiences {
+            return None;
         }
-    }
-
-    /// What is in the map.
-    #[must_use]
-    pub fn summary(&self) -> MapSummary {
-        let keyframes = || self.experiences().iter().filter_map(|experience| experience.keyframe.as_ref());
-        let mut models: Vec<String> =
-            keyframes().filter_map(|k| k.appearance.as_ref()).map(|a| a.model.clone()).collect();
-        models.sort_unstable();
-        models.dedup();
-        MapSummary {
-            places: self.places().len(),
-            named_places: self.places().iter().filter(|place| place.name.is_some()).count(),
-            experiences: self.experiences().len(),
-            keyframes: keyframes().count(),
-            journal_bytes: self.journal.length_bytes(),
-            torn_bytes: self.recovery.torn_bytes,
-            models,
-        }
-    }
-
-    fn write(&mut self, record: Record) -> Result<(), MapError> {
-        let unstorable = |reason| MapError::Unstorable { reason };
-        self.contents.check(&record).map_err(unstorable)?;
-        let offset = self.journal.append(&record.encode().map_err(unstorable)?)?;
-        self.contents.apply(record, offset).map_err(unstorable)?;
-        self.unsynced_records += 1;
-        if self.unsynced_records >= SYNC_EVERY_RECORDS {
-            self.sync()?;
-        }
-        Ok(())
-    }
-}
-
-/// What replaying the journal gives.
-#[derive(Default)]
-struct Contents {
-    places: Vec<Place>,
-    experiences: Vec<Experience>,
-}
-
-impl Contents {
-    /// Whether `record` fits the map so far.
-    fn check(&self, record: &Record) -> Result<(), String> {
-        let place = match record {
-            Record::Founded => return Ok(()),
-            Record::Named { place, .. } => *place,
-            Record::Experienced(record) | Record::ExperiencedInLight(_, record) => record.place,
-        };
-        if (place as usize) < self.places.len() { Ok(()) } else { Err(format!("there is no place {place}")) }
-    }
-
-    fn apply(&mut self, record: Record, offset: u64) -> Result<(), String> {
-        self.check(&record)?;
-        match record {
-            Record::Founded => {
-                let id = PlaceId(self.places.len() as u32);
-                self.places.push(Place { id, name: None, experiences: Vec::new() });
-            }
-            Record::Named { place, name } => self.places[place as usize].name = Some(name),
-            Record::Experienced(record) => self.apply_experience(*record, None, offset)?,
-            Record::ExperiencedInLight(mean_luminance, record) => {
-                self.apply_experience(*record, Some(mean_luminance), offset)?;
-            }
-        }
-        Ok(())
-    }
-
-    fn apply_experience(
-        &mut self,
-        record: ExperienceRecord,
-        mean_luminance: Option<f32>,
-        offset: u64,
-    ) -> Result<(), String> {
-        let id = ExperienceId(self.experiences.len() as u32);
-        let features = record.features().ok_or("its features do not fit together")?;
-        let appearance = record.appearance.map(unpack_appearance).transpose()?;
-        self.places[record.place as usize].experiences.push(id);
-        self.experiences.push(Experience {
+        let mut glimpses = thinning::glimpses(&self.contents, place);
+        glimpses.push(Glimpse {
             id,
-            place: PlaceId(record.place),
-            frame_index: record.frame_index,
-            frame_name: record.frame_name,
-            capture_nanos: record.capture_nanos,
-            pose: record.pose.map(unpack_pose),
-            mean_luminance,
-            keyframe: record.is_keyframe.then_some(Keyframe { features, appearance }),
-            record_offset: offset,
+            view: new.view,
+            mean_luminance: Some(new.mean_luminance),
+            is_keyframe: new.keyframe.is_some(),
         });
+        let given_up = thinning::least_telling(&glimpses)?;
+        if given_up == id && new.keyframe.is_some() {
+            // A look that recognition lacks is worth more than what the hash says of it.
+            glimpses.pop();
+            return thinning::least_telling(&glimpses);
+        }
+        Some(given_up)
+    }
+
+    /// The records of places that the way to `place` makes or changes.
+    fn linked(&self, place: PlaceId) -> Vec<PlaceRecord> {
+        let known = self.contents.places.get(&place);
+        let mut records = Vec::new();
+        let latest = self.latest_place.map(|latest| self.contents.resolve(latest));
+        let here = known.map(Place::record);
+        let is_new = here.is_none();
+        let mut here = here.unwrap_or(PlaceRecord {
+            place: place.0,
+            name: None,
+            merged_into: None,
+            neighbours: Vec::new(),
+        });
+        let mut is_changed = is_new;
+        if let Some(latest) = latest.filter(|&latest| latest != place) {
+            let mut there = self.contents.places[&latest].record();
+            if add_neighbour(&mut there, place) {
+                records.push(there);
+            }
+            is_changed |= add_neighbour(&mut here, latest);
+        }
+        if is_changed {
+            // First, since the other one names it.
+            records.insert(0, here);
+        }
+        records
+    }
+
+    fn write_place(&mut self, record: PlaceRecord) -> Result<(), MapError> {
+        let mut batch = Batch::default();
+        batch.add(PLACE, format::encode(&record))?;
+        self.write(&batch)
+    }
+
+    /// Writes a batch, all of it or nothing, and takes its contents over.
+    pub(super) fn write(&mut self, batch: &Batch) -> Result<(), MapError> {
+        self.guarded(|map| {
+            map.append(batch)?;
+            if map.options.durability == Durability::Every {
+                map.journal.sync()?;
+            }
+            if map.journal.end().offset >= map.options.segment_bytes() {
+                map.rotate()?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Does something to a map that is writable, and closes it for ever if the medium fails.
+    pub(super) fn guarded<T>(
+        &mut self,
+        change: impl FnOnce(&mut Self) -> Result<T, MapError>,
+    ) -> Result<T, MapError> {
+        if !self.is_writable {
+            return Err(MapError::ReadOnly);
+        }
+        let changed = self.journal.check().map_err(MapError::from).and_then(|()| change(self));
+        self.is_writable = changed.is_ok();
+        changed
+    }
+
+    pub(super) fn append(&mut self, batch: &Batch) -> Result<(), MapError> {
+        let records: Vec<(Envelope, &[u8])> =
+            batch.0.iter().map(|(envelope, payload)| (*envelope, payload.as_slice())).collect();
+        let locations = self.journal.append(&records)?;
+        for (&(envelope, payload), location) in records.iter().zip(locations) {
+            let length_bytes = RecordLog::framed_bytes(payload);
+            super::replay::apply(&mut self.contents, location, (envelope, payload), length_bytes)
+                .map_err(|reason| MapError::Unstorable { reason })?;
+        }
         Ok(())
     }
 }
 
-fn unpack_appearance((model, values): (String, Vec<f32>)) -> Result<Appearance, String> {
-    let descriptor = cnn::Descriptor::from_values(values).ok_or("its CNN descriptor has no direction")?;
-    Ok(Appearance { model, descriptor })
+/// Notes `neighbour` as the latest of a place; whether that is news.
+fn add_neighbour(record: &mut PlaceRecord, neighbour: PlaceId) -> bool {
+    if record.neighbours.contains(&neighbour.0) {
+        return false;
+    }
+    if record.neighbours.len() == MAX_NEIGHBOURS {
+        record.neighbours.remove(0);
+    }
+    record.neighbours.push(neighbour.0);
+    true
 }
 
-fn pack_pose(pose: Pose) -> [f64; 7] {
-    let ([x, y, z], [qx, qy, qz, qw]) = (pose.position_metres, pose.orientation);
-    [x, y, z, qx, qy, qz, qw]
-}
-
-fn unpack_pose([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Pose {
-    Pose { position_metres: [x, y, z], orientation: [qx, qy, qz, qw] }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::feature::{Descriptor, Keypoint};
-    use crate::geometry::Point;
-    use crate::raster::{GreyImage, RgbImage};
-
-    fn frame(index: u64) -> Frame {
-        Frame {
-            index,
-            capture_nanos: index as i64 * 1_000,
-            name: format!("{index:03}.jpg"),
-            colour: RgbImage::new(4, 4),
-            grey: GreyImage::new(4, 4),
-            jpeg: None,
-            pose: Some(Pose { position_metres: [1.0, 2.0, index as f64], orientation: [0.0, 0.0, 0.0, 1.0] }),
-            true_place: None,
-        }
+/// Files that a power cut left beside those that they were to replace.
+fn remove_leftovers(folder: &dyn Folder) -> Result<(), StorageError> {
+    let names = folder.names().map_err(StorageError::io("list", folder.path()))?;
+    for name in names.iter().filter(|name| name.starts_with("snapshot") && name.ends_with(BESIDE_SUFFIX)) {
+        folder.remove(name).map_err(StorageError::io("delete", &folder.path().join(name)))?;
     }
-
-    fn features() -> Features {
-        let keypoint =
-            Keypoint { point: Point { x: 3.5, y: 2.25 }, scale: 1.2, angle_radians: 0.5, response: 40 };
-        Features {
-            width_px: 4,
-            height_px: 4,
-            keypoints: vec![keypoint],
-            descriptors: vec![Descriptor([7; 32])],
-        }
-    }
-
-    fn add(map: &mut PlaceMap, place: PlaceId, index: u64, is_keyframe: bool) -> ExperienceId {
-        let appearance = Appearance {
-            model: "abc".to_owned(),
-            descriptor: cnn::Descriptor::from_values(vec![0.6, 0.8]).unwrap(),
-        };
-        let new = NewExperience {
-            frame: &frame(index),
-            features: &features(),
-            appearance: Some(&appearance),
-            mean_luminance: 80.0,
-            thumbnail_jpeg: &[index as u8; 9],
-            is_keyframe,
-        };
-        map.add_experience(place, &new).unwrap()
-    }
-
-    #[test]
-    fn a_map_reopened_is_the_map_that_was_written() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut map = PlaceMap::open(folder.path()).unwrap();
-        let (dock, hall) = (map.found_place().unwrap(), map.found_place().unwrap());
-        add(&mut map, dock, 0, true);
-        add(&mut map, hall, 1, true);
-        let last = add(&mut map, dock, 2, false);
-        map.name_place(dock, "dock 3").unwrap();
-        let (places, experiences, summary) =
-            (map.places().to_vec(), map.experiences().to_vec(), map.summary());
-        drop(map);
-        let reopened = PlaceMap::open_read_only(folder.path()).unwrap();
-        assert_eq!(reopened.places(), places);
-        assert_eq!(reopened.experiences(), experiences);
-        assert_eq!(reopened.summary(), summary);
-        assert_eq!((summary.places, summary.experiences, summary.keyframes), (2, 3, 2));
-        assert_eq!(reopened.place(dock).unwrap().name.as_deref(), Some("dock 3"));
-        assert_eq!(reopened.thumbnail_jpeg(last).unwrap(), [2; 9]);
-    }
-
-    #[test]
-    fn a_torn_last_record_costs_that_record_alone() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut map = PlaceMap::open(folder.path()).unwrap();
-        let place = map.found_place().unwrap();
-        add(&mut map, place, 0, true);
-        add(&mut map, place, 1, true);
-        drop(map);
-        let path = folder.path().join(JOURNAL_NAME);
-        let bytes = fs::read(&path).unwrap();
-        fs::write(&path, &bytes[..bytes.len() - 3]).unwrap();
-        let mut map = PlaceMap::open(folder.path()).unwrap();
-        assert_eq!(map.experiences().len(), 1);
-        assert!(map.summary().torn_bytes > 0);
-        add(&mut map, place, 2, true);
-        drop(map);
-        assert_eq!(PlaceMap::open(folder.path()).unwrap().experiences().len(), 2);
-    }
-
-    #[test]
-    fn crash_during_append_keeps_earlier_places() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut map = PlaceMap::open(folder.path()).unwrap();
-        map.found_place().unwrap();
-        map.found_place().unwrap();
-        drop(map);
-        let path = folder.path().join(JOURNAL_NAME);
-        let mut bytes = fs::read(&path).unwrap();
-        bytes.extend([200, 0, 0, 0, 1, 2]);
-        fs::write(&path, bytes).unwrap();
-        assert_eq!(PlaceMap::open(folder.path()).unwrap().places().len(), 2);
-    }
-
-    #[test]
-    fn an_experience_from_before_light_was_noted_is_read() {
-        let mut map = PlaceMap::in_memory().unwrap();
-        let place = map.found_place().unwrap();
-        add(&mut map, place, 0, true);
-        let offset = map.experiences()[0].record_offset;
-        let Ok(Record::ExperiencedInLight(_, record)) = Record::decode(&map.journal.read(offset).unwrap())
-        else {
-            panic!("another record");
-        };
-        map.write(Record::Experienced(record)).unwrap();
-        let lights: Vec<Option<f32>> = map.experiences().iter().map(|e| e.mean_luminance).collect();
-        assert_eq!(lights, [Some(80.0), None]);
-        assert_eq!(map.thumbnail_jpeg(ExperienceId(1)).unwrap(), [0; 9]);
-    }
-
-    #[test]
-    fn a_missing_map_is_named_with_the_command_that_makes_one() {
-        let folder = tempfile::tempdir().unwrap();
-        let error = PlaceMap::open_read_only(folder.path()).err().unwrap().to_string();
-        assert!(
-            error.contains(&folder.path().display().to_string()) && error.contains("loci run"),
-            "{error}"
-        );
-    }
-
-    #[test]
-    fn an_experience_of_an_unknown_place_is_refused() {
-        let mut map = PlaceMap::in_memory().unwrap();
-        let new = NewExperience {
-            frame: &frame(0),
-            features: &features(),
-            appearance: None,
-            mean_luminance: 80.0,
-            thumbnail_jpeg: &[],
-            is_keyframe: true,
-        };
-        let error = map.add_experience(PlaceId(3), &new).unwrap_err().to_string();
-        assert_eq!(error, "an experience cannot be stored: there is no place 3");
-    }
+    Ok(())
 }

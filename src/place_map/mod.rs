@@ -1,26 +1,53 @@
 //! The map: places, and the visual experiences by which the robot knows them.
 //!
 //! A place is a cluster of experiences. Those by which it is recognised are its keyframes; the others
-//! are kept for retraining. Everything goes through one journal: the map in memory is what replaying
-//! the journal gives, whether a record was just written or read after a restart.
+//! are kept for retraining. In memory is only what tells them apart; features, words and thumbnails stay in the
+//! journal and are read when they are needed.
+//!
+//! Everything goes through the journal: the map in memory is what replaying it gives, whether a record was just
+//! written or read after a restart. `journal` keeps the segments, `snapshot` saves reading them all,
+//! `thinning` says what to give up when the map is to stay within its budget.
 
+mod absorb;
+mod batch;
+mod contents;
+mod error;
 mod format;
+mod inspection;
+mod journal;
 mod map;
+mod options;
+#[cfg(test)]
+mod power_cut_tests;
+mod reading;
+mod replay;
+mod snapshot;
+#[cfg(test)]
+mod tests;
+mod thinning;
+mod upkeep;
+mod verify;
+mod version_1;
 
-pub use map::{MapSummary, NewExperience, PlaceMap};
+pub use error::MapError;
+pub use journal::JournalSyncer;
+pub use map::{Learnt, NewExperience, PlaceMap};
+pub use options::{Durability, MapOptions};
+pub use reading::MapSummary;
+pub use verify::{Problem, SnapshotState, Verification};
 
-use std::path::PathBuf;
+use contents::Location;
+use format::{ExperienceRecord, PlaceRecord};
 
-use crate::cnn;
-use crate::feature::Features;
+use crate::cnn::CompactDescriptor;
 use crate::frame::Pose;
-use crate::storage::StorageError;
+use crate::vocabulary::WordId;
 
 /// A place, counted from 0 in the order of founding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PlaceId(pub u32);
 
-/// A visual experience, counted from 0 over the whole map.
+/// A visual experience, counted from 0 over the whole life of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ExperienceId(pub u32);
 
@@ -31,17 +58,37 @@ pub struct Place {
     pub id: PlaceId,
     /// What people call it, once somebody named it.
     pub name: Option<String>,
+    /// The place that it turned out to be; then its experiences are there.
+    pub merged_into: Option<PlaceId>,
+    /// Places next to it along the way, the latest last.
+    pub neighbours: Vec<PlaceId>,
     /// Its experiences, oldest first.
     pub experiences: Vec<ExperienceId>,
+    location: Location,
+    record_bytes: u32,
 }
 
-/// One look at a place.
-#[derive(Clone, Debug, PartialEq)]
+/// One look at a place, as far as it is always at hand.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Experience {
     /// Its number.
     pub id: ExperienceId,
-    /// The place it shows.
-    pub place: PlaceId,
+    /// The place it was learnt as showing, which may have been merged into another one since.
+    pub learnt_as: PlaceId,
+    /// Difference hash of the frame.
+    pub view: u64,
+    /// Mean luminance of the frame, 0 to 255, if it was noted.
+    pub mean_luminance: Option<f32>,
+    /// Whether the place is recognised by it.
+    pub is_keyframe: bool,
+    location: Location,
+    /// Bytes of its records.
+    record_bytes: u32,
+}
+
+/// The frame that an experience came from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Origin {
     /// Index of the frame in its stream.
     pub frame_index: u64,
     /// Name of the frame.
@@ -50,21 +97,25 @@ pub struct Experience {
     pub capture_nanos: i64,
     /// Where the robot was, if something told us.
     pub pose: Option<Pose>,
-    /// Mean luminance of the frame, 0 to 255, if it was noted.
-    pub mean_luminance: Option<f32>,
-    /// What recognition needs of it, if the place is recognised by it.
-    pub keyframe: Option<Keyframe>,
-    /// Where its record, with thumbnail and features, is in the journal.
-    record_offset: u64,
 }
 
-/// What a place is recognised by.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Keyframe {
-    /// ORB features, for BoW+HV.
-    pub features: Features,
+/// What a keyframe is found by.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Traits {
+    /// The visual words of its features, by vocabulary.
+    pub words: Vec<VocabularyWords>,
     /// CNN descriptor, if a CNN was running, with the model that made it.
     pub appearance: Option<Appearance>,
+}
+
+/// The words that a vocabulary has for the features of a keyframe, one a feature, rising: so a bag of words is
+/// made of them quickly.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VocabularyWords {
+    /// Fingerprint of the vocabulary.
+    pub vocabulary: u64,
+    /// The words.
+    pub words: Vec<WordId>,
 }
 
 /// A CNN descriptor and the model that made it: descriptors of two models must not be compared.
@@ -73,34 +124,38 @@ pub struct Appearance {
     /// Identity of the model: the hash in its card.
     pub model: String,
     /// The descriptor.
-    pub descriptor: cnn::Descriptor,
+    pub descriptor: CompactDescriptor,
 }
 
-/// Why a map could not be opened or written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum MapError {
-    /// The journal could not be read or written.
-    #[error(transparent)]
-    Storage(#[from] StorageError),
-    /// The folder holds no map.
-    #[error("no map in {}: `loci run SOURCE --map FOLDER` makes one", path.display())]
-    Missing {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// The record could not be packed.
-    #[error("an experience cannot be stored: {reason}")]
-    Unstorable {
-        /// What does not fit.
-        reason: String,
-    },
-    /// An experience could not be read again.
-    #[error("experience {experience} cannot be read: {reason}")]
-    Unreadable {
-        /// Its number.
-        experience: u32,
-        /// What is wrong.
-        reason: String,
-    },
+impl Place {
+    /// What the journal says of it.
+    fn record(&self) -> PlaceRecord {
+        PlaceRecord {
+            place: self.id.0,
+            name: self.name.clone(),
+            merged_into: self.merged_into.map(|place| place.0),
+            neighbours: self.neighbours.iter().map(|place| place.0).collect(),
+        }
+    }
+}
+
+impl Experience {
+    /// The experience of a record that takes `length_bytes` at `location`, its parts before it not counted.
+    fn new(record: &ExperienceRecord, location: Location, length_bytes: u64) -> Result<Self, String> {
+        let features_back = record.keyframe.as_ref().map_or(0, |keyframe| keyframe.features_back_bytes);
+        let parts_bytes = u64::from(features_back.max(record.thumbnail_back_bytes));
+        if parts_bytes > location.offset() {
+            return Err("its parts lie before the journal's beginning".to_owned());
+        }
+        Ok(Self {
+            id: ExperienceId(record.experience),
+            learnt_as: PlaceId(record.place),
+            view: record.view,
+            mean_luminance: record.mean_luminance,
+            is_keyframe: record.keyframe.is_some(),
+            location,
+            record_bytes: u32::try_from(parts_bytes + length_bytes)
+                .map_err(|_| "it is too long".to_owned())?,
+        })
+    }
 }

@@ -1,14 +1,15 @@
-//! The keyframes as BoW+HV needs them: found by their words, compared within vocabulary nodes, in every light.
+//! The keyframes as BoW+HV finds them: by their words, in every light.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use heapless::Vec as FixedVec;
 
-use super::recogniser::Look;
+use super::look::Look;
 use crate::feature::{Descriptor, Features};
-use crate::place_map::{ExperienceId, PlaceId};
-use crate::retrieval::{BowVector, InvertedIndex, MAX_RETRIEVED};
-use crate::vocabulary::{ConditionId, GrownWords, Offshoot, Quantised, Vocabulary, VocabularySet, WordId};
+use crate::place_map::{ExperienceId, PlaceId, VocabularyWords};
+use crate::retrieval::{BowVector, DocumentId, InvertedIndex, MAX_RETRIEVED};
+use crate::vocabulary::{GrownWords, Offshoot, Quantised, Vocabulary, VocabularySet, WordId};
 
 /// A keyframe that shares words with a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,20 +20,28 @@ pub(super) struct RetrievedKeyframe {
     pub(super) score: f32,
 }
 
-/// A keyframe; its position in the list is its document in the inverted indices.
+/// Memory of a posting, with what lists keep in reserve.
+const POSTING_BYTES: usize = 12;
+/// Memory of a keyframe besides its postings.
+const KEYFRAME_BYTES: usize = 48;
+
+#[derive(Clone, Copy)]
 struct IndexedKeyframe {
     place: PlaceId,
     experience: ExperienceId,
-    /// The node of each feature, by condition.
-    groups: Vec<Vec<u32>>,
+    postings: u32,
 }
 
-/// All keyframes, each under the words of every condition.
+/// Keyframes, each under the words of every condition.
 pub(super) struct KeyframeIndex {
     vocabularies: Arc<VocabularySet>,
-    /// One a condition.
+    /// One a condition; all number their documents alike.
     words: Vec<WordIndex>,
+    /// By document.
     keyframes: Vec<IndexedKeyframe>,
+    documents: HashMap<ExperienceId, DocumentId>,
+    /// Words of all keyframes together, in every condition.
+    postings: usize,
 }
 
 /// The keyframes under the words of one condition.
@@ -43,16 +52,24 @@ struct WordIndex {
 }
 
 impl WordIndex {
-    /// Indexes an image with these features.
-    fn add(&mut self, descriptors: &[Descriptor], quantised: &[Quantised], vocabulary: &Vocabulary) {
+    /// Indexes a keyframe; answers its document and how many postings it has.
+    fn add(&mut self, bow: &BowVector) -> (DocumentId, usize) {
+        (self.inverted.add(bow), bow.entries().len())
+    }
+
+    /// Indexes a keyframe with these features, whose words grow where the vocabulary covers them badly.
+    fn add_growing(&mut self, descriptors: &[Descriptor], vocabulary: &Vocabulary) -> (DocumentId, usize) {
+        let quantised = vocabulary.quantise_all(descriptors);
         let Some(grown) = &mut self.grown else {
-            self.inverted.add(&BowVector::new(trained_words(quantised), vocabulary));
-            return;
+            return self.add(&BowVector::new(trained_words(&quantised), vocabulary));
         };
-        self.inverted.add(&grown_bow(&grown.learn(descriptors, quantised), vocabulary));
+        let learnt = grown.learn(descriptors, &quantised, vocabulary);
+        let document = self.add(&grown_bow(&learnt, vocabulary));
+        let Some(grown) = &mut self.grown else { return document };
         for Offshoot { word, origin } in grown.purge() {
             self.inverted.merge(word, origin);
         }
+        document
     }
 
     /// The bag of words of `look`.
@@ -84,23 +101,110 @@ impl KeyframeIndex {
             grown: growing.then(|| GrownWords::new(vocabularies.vocabulary(condition))),
         };
         let words = vocabularies.conditions().map(word_index).collect();
-        Self { vocabularies, words, keyframes: Vec::new() }
+        Self { vocabularies, words, keyframes: Vec::new(), documents: HashMap::new(), postings: 0 }
     }
 
     pub(super) fn vocabularies(&self) -> &Arc<VocabularySet> {
         &self.vocabularies
     }
 
-    /// Makes a keyframe findable. Experiences come in the order of their numbers.
-    pub(super) fn add(&mut self, place: PlaceId, experience: ExperienceId, features: &Features) {
-        let mut groups = Vec::with_capacity(self.words.len());
-        for (condition, index) in self.vocabularies.conditions().zip(&mut self.words) {
+    pub(super) fn contains(&self, keyframe: ExperienceId) -> bool {
+        self.documents.contains_key(&keyframe)
+    }
+
+    /// The words of a keyframe in every condition.
+    pub(super) fn words_of(&self, features: &Features) -> Vec<VocabularyWords> {
+        let words = |condition| {
             let vocabulary = self.vocabularies.vocabulary(condition);
             let quantised = vocabulary.quantise_all(&features.descriptors);
-            index.add(&features.descriptors, &quantised, vocabulary);
-            groups.push(quantised.iter().map(|q| q.node.0).collect());
+            let mut words: Vec<WordId> = trained_words(&quantised).collect();
+            words.sort_unstable();
+            VocabularyWords { vocabulary: vocabulary.fingerprint(), words }
+        };
+        self.vocabularies.conditions().map(words).collect()
+    }
+
+    /// Whether `words` are all that [`add`](Self::add) needs: those of every vocabulary, and none may grow.
+    pub(super) fn is_satisfied_by(&self, words: &[VocabularyWords]) -> bool {
+        let mut fingerprints =
+            self.vocabularies.conditions().map(|c| self.vocabularies.vocabulary(c).fingerprint());
+        let may_grow = self.words.iter().any(|index| index.grown.is_some());
+        !may_grow && fingerprints.all(|fingerprint| words.iter().any(|words| words.vocabulary == fingerprint))
+    }
+
+    /// Makes a keyframe findable by its words.
+    pub(super) fn add(&mut self, keyframe: (PlaceId, ExperienceId), words: &[VocabularyWords]) {
+        let mut added = Vec::with_capacity(self.words.len());
+        for (condition, index) in self.vocabularies.conditions().zip(&mut self.words) {
+            let vocabulary = self.vocabularies.vocabulary(condition);
+            let fingerprint = vocabulary.fingerprint();
+            let known = words.iter().find(|words| words.vocabulary == fingerprint);
+            let words = known.into_iter().flat_map(|words| words.words.iter().copied());
+            added.push(index.add(&BowVector::new(words, vocabulary)));
         }
-        self.keyframes.push(IndexedKeyframe { place, experience, groups });
+        self.note(&added, keyframe);
+    }
+
+    /// Makes a keyframe findable by its features, whose words may grow.
+    pub(super) fn add_growing(&mut self, keyframe: (PlaceId, ExperienceId), features: &Features) {
+        let mut added = Vec::with_capacity(self.words.len());
+        for (condition, index) in self.vocabularies.conditions().zip(&mut self.words) {
+            let vocabulary = self.vocabularies.vocabulary(condition);
+            added.push(index.add_growing(&features.descriptors, vocabulary));
+        }
+        self.note(&added, keyframe);
+    }
+
+    /// Notes what the words of every condition have added; all of them gave it the same number.
+    fn note(&mut self, added: &[(DocumentId, usize)], (place, experience): (PlaceId, ExperienceId)) {
+        let Some(&(document, _)) = added.first() else { return };
+        let postings = added.iter().map(|(_, postings)| *postings as u32).sum();
+        self.postings += postings as usize;
+        let keyframe = IndexedKeyframe { place, experience, postings };
+        match self.keyframes.get_mut(document.0 as usize) {
+            Some(taken) => *taken = keyframe,
+            None => self.keyframes.push(keyframe),
+        }
+        self.documents.insert(experience, document);
+    }
+
+    /// Forgets a keyframe, if it is there.
+    pub(super) fn remove(&mut self, keyframe: ExperienceId) {
+        let Some(document) = self.documents.remove(&keyframe) else { return };
+        self.postings -= self.keyframes[document.0 as usize].postings as usize;
+        for WordIndex { inverted, grown } in &mut self.words {
+            let is_swept = inverted.remove(document);
+            if let Some(grown) = grown.as_mut().filter(|_| is_swept) {
+                grown.retain(|word| inverted.shows(word));
+            }
+        }
+    }
+
+    /// Frees the memory of what was removed.
+    pub(super) fn sweep(&mut self) {
+        for WordIndex { inverted, grown } in &mut self.words {
+            inverted.sweep();
+            if let Some(grown) = grown {
+                grown.retain(|word| inverted.shows(word));
+            }
+        }
+    }
+
+    /// From now on the keyframe is one of `place`.
+    pub(super) fn rename(&mut self, keyframe: ExperienceId, place: PlaceId) {
+        if let Some(document) = self.documents.get(&keyframe) {
+            self.keyframes[document.0 as usize].place = place;
+        }
+    }
+
+    /// Bytes of memory that the keyframes take, roughly; the lists of a vocabulary's words come on top.
+    pub(super) fn memory_bytes(&self) -> usize {
+        self.postings * POSTING_BYTES + self.documents.len() * KEYFRAME_BYTES
+    }
+
+    /// Bytes of memory that a keyframe with so many postings takes.
+    pub(super) fn keyframe_bytes(postings: usize) -> usize {
+        postings * POSTING_BYTES + KEYFRAME_BYTES
     }
 
     /// The keyframes that share the most and rarest words with `look`, but for those of the place
@@ -110,7 +214,7 @@ impl KeyframeIndex {
         look: &Look,
         unwanted: Option<PlaceId>,
     ) -> FixedVec<RetrievedKeyframe, MAX_RETRIEVED> {
-        let Self { vocabularies, words, keyframes } = self;
+        let Self { vocabularies, words, keyframes, .. } = self;
         let condition = look.light.condition;
         let Some(index) = words.get_mut(usize::from(condition.0)) else { return FixedVec::new() };
         let bow = index.bow(look, vocabularies.vocabulary(condition));
@@ -120,11 +224,5 @@ impl KeyframeIndex {
             RetrievedKeyframe { place, experience, score: retrieved.score }
         };
         retrieved.iter().map(keyframe).collect()
-    }
-
-    /// The node of each feature of a keyframe under `condition`.
-    pub(super) fn groups(&self, keyframe: ExperienceId, condition: ConditionId) -> Option<&[u32]> {
-        let position = self.keyframes.binary_search_by_key(&keyframe, |indexed| indexed.experience).ok()?;
-        self.keyframes[position].groups.get(usize::from(condition.0)).map(Vec::as_slice)
     }
 }

@@ -10,13 +10,22 @@
 mod appearance;
 mod calibration;
 mod candidate;
+mod identity;
+mod joining;
 mod keyframe_index;
+mod learning;
+mod look;
+mod options;
 mod recogniser;
 mod visits;
+mod working_set;
 
 pub use calibration::{doubt, inlier_probability};
 pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
-pub use recogniser::{Look, Recogniser, RecognitionOptions};
+pub use joining::Join;
+pub use look::Look;
+pub use options::RecognitionOptions;
+pub use recogniser::Recogniser;
 
 use crate::place_map::{ExperienceId, PlaceId};
 use crate::verification::Verification;
@@ -61,8 +70,10 @@ pub struct Recognition {
     pub place: Option<PlaceId>,
     /// The place's name, if it has one.
     pub name: Option<String>,
-    /// The keyframe that was matched.
+    /// The keyframe that was matched, or that a new place was founded with.
     pub keyframe: Option<ExperienceId>,
+    /// What the frame became in the map, unless that learnt nothing from it.
+    pub experience: Option<ExperienceId>,
     /// Probability that the decision is right, 0 to 1.
     pub confidence: f32,
     /// Effective inliers of the accepted match, if it was verified.

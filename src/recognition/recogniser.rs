@@ -5,89 +5,46 @@ use std::sync::Arc;
 use super::appearance::AppearanceIndex;
 use super::calibration::{doubt, inlier_probability};
 use super::candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
+use super::identity::Identities;
 use super::keyframe_index::KeyframeIndex;
+use super::look::Look;
+use super::options::RecognitionOptions;
 use super::visits::Visits;
+use super::working_set::WorkingSet;
 use super::{Decision, Recognition};
 use crate::cnn;
-use crate::feature::Features;
 use crate::frame::Frame;
-use crate::place_map::{Appearance, ExperienceId, MapError, NewExperience, PlaceId, PlaceMap};
-use crate::verification::{MatchingView, Verification, VerificationOptions, verify};
-use crate::vocabulary::{ConditionId, Light, Quantised, VocabularySet};
-
-/// Settings of the decision.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RecognitionOptions {
-    /// δ_ep: sampled frames that join a place unasked after its founding; default 5.
-    pub place_interval: u32,
-    /// Fewest effective inliers of a verified match; default 12.
-    pub min_inliers: u32,
-    /// Never change the map; frames that match nothing are `unknown`. Default false.
-    pub read_only: bool,
-    /// Learn words online where the vocabulary covers the keyframes badly; default false.
-    pub grow_vocabulary: bool,
-    /// Tolerances of the verification.
-    pub verification: VerificationOptions,
-}
-
-impl Default for RecognitionOptions {
-    fn default() -> Self {
-        Self {
-            place_interval: 5,
-            min_inliers: 12,
-            read_only: false,
-            grow_vocabulary: false,
-            verification: VerificationOptions::default(),
-        }
-    }
-}
-
-/// What was seen in a frame.
-#[derive(Clone, Debug, Default)]
-pub struct Look {
-    /// ORB features.
-    pub features: Features,
-    /// Under which light.
-    pub light: Light,
-    /// What the vocabulary of that light says of each feature.
-    pub quantised: Vec<Quantised>,
-    /// CNN descriptor, if a CNN is running.
-    pub appearance: Option<cnn::Descriptor>,
-}
-
-impl Look {
-    /// The words and nodes of `features` seen in `light`, with the CNN's descriptor of the same frame.
-    #[must_use]
-    pub fn new(
-        features: Features,
-        (vocabularies, light): (&VocabularySet, Light),
-        appearance: Option<cnn::Descriptor>,
-    ) -> Self {
-        let quantised = vocabularies.vocabulary(light.condition).quantise_all(&features.descriptors);
-        Self { features, light, quantised, appearance }
-    }
-}
+use crate::place_map::{ExperienceId, Learnt, MapError, PlaceMap};
+use crate::verification::{MatchingView, Verification, verify};
+use crate::vocabulary::{ConditionId, VocabularySet};
 
 /// Recognises places and grows the map.
 pub struct Recogniser {
-    options: RecognitionOptions,
-    model: Option<cnn::ModelCard>,
-    map: PlaceMap,
-    keyframes: KeyframeIndex,
-    appearances: AppearanceIndex,
-    visits: Visits,
+    pub(super) options: RecognitionOptions,
+    pub(super) model: Option<cnn::ModelCard>,
+    pub(super) map: PlaceMap,
+    pub(super) keyframes: KeyframeIndex,
+    pub(super) appearances: AppearanceIndex,
+    pub(super) visits: Visits,
+    pub(super) working_set: WorkingSet,
+    pub(super) identities: Identities,
+    pub(super) foreign_descriptors: usize,
+    /// Why the map cannot be read or changed, until somebody asks.
+    map_failure: Option<MapError>,
 }
 
 impl Recogniser {
     /// A recogniser over `map`; its indices are built from the map's keyframes. CNN descriptors that
     /// another model made are left out.
-    #[must_use]
+    ///
+    /// # Errors
+    /// If a keyframe cannot be read.
     pub fn new(
         vocabularies: Arc<VocabularySet>,
         map: PlaceMap,
         model: Option<cnn::ModelCard>,
         options: RecognitionOptions,
-    ) -> Self {
+    ) -> Result<Self, MapError> {
         let mut recogniser = Self {
             visits: Visits::new(options.place_interval),
             keyframes: KeyframeIndex::new(vocabularies, options.grow_vocabulary),
@@ -95,11 +52,13 @@ impl Recogniser {
             model,
             map,
             appearances: AppearanceIndex::default(),
+            working_set: WorkingSet::default(),
+            identities: Identities::default(),
+            foreign_descriptors: 0,
+            map_failure: None,
         };
-        for id in 0..recogniser.map.experiences().len() as u32 {
-            recogniser.index(ExperienceId(id));
-        }
-        recogniser
+        recogniser.fill_working_set()?;
+        Ok(recogniser)
     }
 
     /// The map.
@@ -120,6 +79,24 @@ impl Recogniser {
         self.keyframes.vocabularies()
     }
 
+    /// Number of keyframes whose CNN descriptors another model made, so that they are not compared.
+    #[must_use]
+    pub fn foreign_descriptors(&self) -> usize {
+        self.foreign_descriptors
+    }
+
+    /// Whether the map is only read.
+    #[must_use]
+    pub fn is_read_only(&self) -> bool {
+        self.options.read_only
+    }
+
+    /// From now on the map is only read, as if this failure had just happened.
+    pub fn read_only_because(&mut self, failure: MapError) {
+        self.options.read_only = true;
+        self.map_failure = Some(failure);
+    }
+
     /// Whether a CNN takes part.
     #[must_use]
     pub fn has_cnn(&self) -> bool {
@@ -130,21 +107,24 @@ impl Recogniser {
     ///
     /// # Errors
     /// If the medium fails.
-    pub fn sync(&mut self) -> Result<(), MapError> {
-        self.map.sync()
+    pub fn close(&mut self) -> Result<(), MapError> {
+        self.map.close()
+    }
+
+    /// Why the map could not be read or changed, once. If it could not be changed, it is only read from then on:
+    /// the robot goes on recognising.
+    pub fn take_map_failure(&mut self) -> Option<MapError> {
+        self.map_failure.take()
     }
 
     /// Recognises one frame: [`retrieve`](Self::retrieve), [`verify`](Self::verify) and
     /// [`decide`](Self::decide) in turn.
-    ///
-    /// # Errors
-    /// If the map cannot be written.
     pub fn recognise(
         &mut self,
         frame: &Frame,
         look: &Look,
         thumbnail_jpeg: impl FnOnce() -> Vec<u8>,
-    ) -> Result<Recognition, MapError> {
+    ) -> Recognition {
         let mut candidates = self.retrieve(look);
         let verification = self.verify(look, &mut candidates);
         self.decide(frame, look, (candidates, verification), thumbnail_jpeg)
@@ -156,7 +136,7 @@ impl Recogniser {
         let mut candidates = Candidates::new();
         if let (Some(model), Some(descriptor)) = (&self.model, &look.appearance) {
             let needed = model.decision.recognise_above;
-            for mut candidate in self.appearances.query(descriptor) {
+            for mut candidate in self.appearances.query(&descriptor.into()) {
                 candidate.rejected = if self.visits.founded_within_interval() == Some(candidate.place) {
                     Some(Rejection::WithinPlaceInterval)
                 } else if candidate.score < needed {
@@ -174,7 +154,12 @@ impl Recogniser {
     fn retrieve_by_words(&mut self, look: &Look) -> Vec<Candidate> {
         let mut candidates: Vec<Candidate> = Vec::with_capacity(MAX_CANDIDATES);
         for keyframe in self.keyframes.query(look, self.visits.founded_within_interval()) {
-            let is_known = candidates.iter().any(|candidate| candidate.place == keyframe.place);
+            // Of a place that was merged from two, each half is asked: they may turn out to be two.
+            let learnt_as = |id| self.map.experience(id).map(|experience| experience.learnt_as);
+            let half = learnt_as(keyframe.experience);
+            let is_known = candidates
+                .iter()
+                .any(|known| known.place == keyframe.place && learnt_as(known.keyframe) == half);
             if is_known || candidates.len() == MAX_CANDIDATES {
                 continue;
             }
@@ -192,7 +177,7 @@ impl Recogniser {
 
     /// Verifies the BoW candidates, unless the CNN recognised a place; answers the geometry of the one
     /// with the most effective inliers, if they are enough.
-    pub fn verify(&self, look: &Look, candidates: &mut Candidates) -> Option<Verification> {
+    pub fn verify(&mut self, look: &Look, candidates: &mut Candidates) -> Option<Verification> {
         if accepted(candidates, Evidence::Cnn).is_some() {
             return None;
         }
@@ -212,52 +197,84 @@ impl Recogniser {
         best
     }
 
+    /// A keyframe that cannot be read matches nothing.
     fn verify_keyframe(
-        &self,
+        &mut self,
         (query, condition): (MatchingView<'_>, ConditionId),
         keyframe: ExperienceId,
     ) -> Verification {
-        let groups = self.keyframes.groups(keyframe, condition);
-        let stored = self.map.experience(keyframe).and_then(|experience| experience.keyframe.as_ref());
-        let (Some(groups), Some(stored)) = (groups, stored) else { return Verification::default() };
-        let view = MatchingView { features: &stored.features, groups };
-        verify(query, view, &self.options.verification)
+        match self.map.features(keyframe) {
+            Ok(features) => {
+                let vocabulary = self.keyframes.vocabularies().vocabulary(condition);
+                let groups: Vec<u32> =
+                    vocabulary.nodes(&features.descriptors).iter().map(|node| node.0).collect();
+                let view = MatchingView { features: &features, groups: &groups };
+                verify(query, view, &self.options.verification)
+            }
+            Err(failure) => {
+                self.map_failure.get_or_insert(failure);
+                Verification::default()
+            }
+        }
     }
 
     /// Decides from verified candidates, and adds to the map what was learnt. `thumbnail_jpeg` is asked
     /// for only if the frame is stored.
-    ///
-    /// # Errors
-    /// If the map cannot be written.
     pub fn decide(
         &mut self,
         frame: &Frame,
         look: &Look,
         (mut candidates, verification): (Candidates, Option<Verification>),
         thumbnail_jpeg: impl FnOnce() -> Vec<u8>,
-    ) -> Result<Recognition, MapError> {
+    ) -> Recognition {
         let chosen = accepted(&candidates, Evidence::Cnn).or(accepted(&candidates, Evidence::BowHv)).cloned();
         if let Some(chosen) = &chosen {
             mark_outdone(&mut candidates, chosen);
         }
         let mut recognition = self.judge(chosen, candidates, verification);
-        if self.options.read_only {
-            return Ok(recognition);
+        if !self.options.read_only {
+            self.remember((frame, look), &mut recognition, thumbnail_jpeg);
         }
-        let is_new = recognition.decision == Decision::NewPlace;
-        let place = match recognition.place {
-            Some(place) => place,
-            None => self.map.found_place()?,
-        };
-        recognition.place = Some(place);
-        let is_keyframe = self.visits.is_young(place) && self.is_new_look(&recognition)
-            || self.is_in_new_light(place, look.light);
-        let id = self.learn(frame, look, (place, is_keyframe), &thumbnail_jpeg())?;
-        if is_new {
-            recognition.keyframe = Some(id);
+        let is_lost = matches!(recognition.decision, Decision::NewPlace | Decision::Unknown);
+        let moved = if is_lost { self.look_around() } else { Ok(()) };
+        let moved = moved.and_then(|()| recognition.place.map_or(Ok(()), |place| self.stay_near(place)));
+        if let Err(failure) = moved {
+            self.map_failure.get_or_insert(failure);
         }
-        self.visits.move_to(place, is_new);
-        Ok(recognition)
+        recognition
+    }
+
+    /// Adds the frame to the place that it was recognised as, or to a new one.
+    fn remember(
+        &mut self,
+        (frame, look): (&Frame, &Look),
+        recognition: &mut Recognition,
+        thumbnail_jpeg: impl FnOnce() -> Vec<u8>,
+    ) {
+        let is_keyframe = recognition.place.is_none_or(|place| {
+            self.visits.is_young(place) && self.is_new_look(recognition)
+                || self.is_in_new_light(place, look.light)
+        });
+        match self.learn(frame, look, (recognition.place, is_keyframe), &thumbnail_jpeg()) {
+            Ok(Learnt { place, experience, .. }) => {
+                let is_new = recognition.decision == Decision::NewPlace;
+                if is_new {
+                    recognition.keyframe = experience;
+                }
+                recognition.place = Some(place);
+                recognition.experience = experience;
+                self.visits.move_to(place, is_new);
+                if let Err(failure) = self.weigh_identities(&recognition.candidates) {
+                    self.read_only_because(failure);
+                }
+            }
+            Err(failure) => {
+                self.read_only_because(failure);
+                if recognition.place.is_none() {
+                    recognition.decision = Decision::Unknown;
+                }
+            }
+        }
     }
 
     /// The decision, before anything is written. A new place has no number yet.
@@ -286,6 +303,7 @@ impl Recogniser {
             place,
             name: place.and_then(|place| self.map.place(place)).and_then(|place| place.name.clone()),
             keyframe: chosen.as_ref().map(|chosen| chosen.keyframe),
+            experience: None,
             confidence,
             inliers: chosen.as_ref().and_then(|chosen| chosen.inliers),
             candidates,
@@ -309,67 +327,6 @@ impl Recogniser {
             (Evidence::Cnn, _, Some(model)) => model.probability(candidate.score),
             (Evidence::BowHv, _, _) => inlier_probability(candidate.inliers.unwrap_or(0)),
             _ => 0.0,
-        }
-    }
-
-    /// Whether the frame shows its place as none of the keyframes does. The CNN judges; without one,
-    /// whatever BoW+HV did not match is new.
-    fn is_new_look(&self, recognition: &Recognition) -> bool {
-        let Some(model) = &self.model else { return recognition.decision != Decision::Revisited };
-        let known_by_cnn = recognition.candidates.iter().any(|candidate| {
-            candidate.by == Evidence::Cnn
-                && Some(candidate.place) == recognition.place
-                && candidate.score >= model.decision.recognise_above
-        });
-        !known_by_cnn
-    }
-
-    /// Whether the place has no keyframe that may count as the condition yet: a place first seen by day is to
-    /// be known by night once it was seen by night.
-    fn is_in_new_light(&self, place: PlaceId, light: Light) -> bool {
-        let vocabularies = self.keyframes.vocabularies();
-        if vocabularies.conditions().count() == 1 {
-            return false;
-        }
-        let experiences = self.map.place(place).into_iter().flat_map(|place| &place.experiences);
-        let lights = experiences
-            .filter_map(|&id| self.map.experience(id))
-            .filter_map(|experience| experience.keyframe.as_ref().and(experience.mean_luminance));
-        !lights.into_iter().any(|luminance| vocabularies.may_count_as(light.condition, luminance))
-    }
-
-    fn learn(
-        &mut self,
-        frame: &Frame,
-        look: &Look,
-        (place, is_keyframe): (PlaceId, bool),
-        thumbnail_jpeg: &[u8],
-    ) -> Result<ExperienceId, MapError> {
-        let appearance = self.model.as_ref().zip(look.appearance.as_ref()).map(|(model, descriptor)| {
-            Appearance { model: model.sha256.clone(), descriptor: descriptor.clone() }
-        });
-        let new = NewExperience {
-            frame,
-            features: &look.features,
-            appearance: appearance.as_ref(),
-            mean_luminance: look.light.mean_luminance,
-            thumbnail_jpeg,
-            is_keyframe,
-        };
-        let id = self.map.add_experience(place, &new)?;
-        self.index(id);
-        Ok(id)
-    }
-
-    /// Makes an experience findable, if it is a keyframe.
-    fn index(&mut self, id: ExperienceId) {
-        let Some(experience) = self.map.experience(id) else { return };
-        let Some(keyframe) = &experience.keyframe else { return };
-        self.keyframes.add(experience.place, id, &keyframe.features);
-        if let (Some(model), Some(appearance)) = (&self.model, &keyframe.appearance)
-            && appearance.model == model.sha256
-        {
-            self.appearances.add(experience.place, id, appearance.descriptor.clone());
         }
     }
 }
@@ -398,15 +355,26 @@ fn mark_outdone(candidates: &mut Candidates, chosen: &Candidate) {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
-    use crate::feature::{Descriptor, Keypoint};
+    use crate::feature::{Descriptor, Features, Keypoint};
     use crate::geometry::Point;
+    use crate::place_map::{MapOptions, NewExperience, PlaceId, Traits};
     use crate::raster::{GreyImage, RgbImage};
-    use crate::vocabulary::{LightSwitch, MemoryCorpus, TrainingOptions, train, train_on};
+    use crate::vocabulary::{Light, LightSwitch, MemoryCorpus, TrainingOptions, train, train_on};
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64;
 
     const DIMENSIONS: usize = 16;
+
+    fn in_memory() -> PlaceMap {
+        PlaceMap::in_memory(MapOptions::default()).unwrap()
+    }
+
+    fn opened(folder: &Path) -> PlaceMap {
+        PlaceMap::open(folder, MapOptions::default()).unwrap()
+    }
 
     /// The features that are seen at a made-up place.
     fn features(place: u64) -> Features {
@@ -457,16 +425,16 @@ mod tests {
             let vocabulary =
                 train(&images, TrainingOptions { branching: 6, depth: 3, ..TrainingOptions::default() })
                     .unwrap();
-            let recogniser = Recogniser::new(Arc::new(vocabulary.into()), map, model, options);
+            let recogniser = Recogniser::new(Arc::new(vocabulary.into()), map, model, options).unwrap();
             Self { recogniser, light: LightSwitch::default(), frames: 0 }
         }
 
         fn with_cnn() -> Self {
-            Self::new(Some(card()), no_interval(), PlaceMap::in_memory().unwrap())
+            Self::new(Some(card()), no_interval(), in_memory())
         }
 
         fn without_cnn() -> Self {
-            Self::new(None, no_interval(), PlaceMap::in_memory().unwrap())
+            Self::new(None, no_interval(), in_memory())
         }
 
         /// A robot with two vocabularies, for the light of 40 and of 120.
@@ -478,8 +446,8 @@ mod tests {
                 (format!("{luminance}").into(), train_on(&corpus, options, &|_| {}).unwrap().vocabulary)
             };
             let set = VocabularySet::new(vec![vocabulary(0..8, 120.0), vocabulary(100..108, 40.0)]).unwrap();
-            let map = PlaceMap::in_memory().unwrap();
-            let recogniser = Recogniser::new(Arc::new(set), map, Some(card()), no_interval());
+            let map = in_memory();
+            let recogniser = Recogniser::new(Arc::new(set), map, Some(card()), no_interval()).unwrap();
             Self { recogniser, light: LightSwitch::default(), frames: 0 }
         }
 
@@ -490,7 +458,17 @@ mod tests {
 
         /// The same in a frame of that luminance.
         fn see_in(&mut self, mean_luminance: f32, place: u64, look: usize) -> Recognition {
-            let frame = Frame {
+            let frame = self.frame();
+            self.frames += 1;
+            let appearance = self.recogniser.has_cnn().then(|| appearance(look));
+            let vocabularies = self.recogniser.vocabularies();
+            let light = self.light.follow(vocabularies, mean_luminance);
+            let look = Look::new(features(place), (vocabularies, light), appearance);
+            self.recogniser.recognise(&frame, &look, Vec::new)
+        }
+
+        fn frame(&self) -> Frame {
+            Frame {
                 index: self.frames,
                 capture_nanos: 0,
                 name: String::new(),
@@ -499,13 +477,7 @@ mod tests {
                 jpeg: None,
                 pose: None,
                 true_place: None,
-            };
-            self.frames += 1;
-            let appearance = self.recogniser.has_cnn().then(|| appearance(look));
-            let vocabularies = self.recogniser.vocabularies();
-            let light = self.light.follow(vocabularies, mean_luminance);
-            let look = Look::new(features(place), (vocabularies, light), appearance);
-            self.recogniser.recognise(&frame, &look, Vec::new).unwrap()
+            }
         }
 
         /// Goes to a place that no test looks at.
@@ -521,7 +493,7 @@ mod tests {
     #[test]
     fn the_first_frame_founds_a_place_and_the_next_ones_join_it() {
         let options = RecognitionOptions::default();
-        let mut robot = Robot::new(Some(card()), options, PlaceMap::in_memory().unwrap());
+        let mut robot = Robot::new(Some(card()), options, in_memory());
         assert_eq!(robot.see(0, 0).decision, Decision::NewPlace);
         for look in 1..=5 {
             let joined = robot.see(look as u64, look);
@@ -576,7 +548,7 @@ mod tests {
         let before = robot.keyframes();
         robot.see(0, 0);
         assert_eq!(robot.keyframes(), before);
-        assert_eq!(robot.recogniser.map().places()[0].experiences.len(), 2);
+        assert_eq!(robot.recogniser.map().place(PlaceId(0)).unwrap().experiences.len(), 2);
     }
 
     #[test]
@@ -630,7 +602,7 @@ mod tests {
         // Random descriptors lie about 128 bits from those of other places: places 20 to 29 were not trained.
         let scores = [false, true].map(|grow_vocabulary| {
             let options = RecognitionOptions { grow_vocabulary, place_interval: 1, ..no_interval() };
-            let mut robot = Robot::new(None, options, PlaceMap::in_memory().unwrap());
+            let mut robot = Robot::new(None, options, in_memory());
             for place in 20..30 {
                 robot.see(place, 0);
                 robot.see(place, 0);
@@ -648,20 +620,129 @@ mod tests {
     fn a_map_that_is_opened_again_grows_the_same_words() {
         let folder = tempfile::tempdir().unwrap();
         let options = RecognitionOptions { grow_vocabulary: true, ..no_interval() };
-        let mut robot = Robot::new(None, options.clone(), PlaceMap::open(folder.path()).unwrap());
+        let mut robot = Robot::new(None, options.clone(), opened(folder.path()));
         for place in [20, 21, 20, 22, 23, 21, 24] {
             robot.see(place, 0);
         }
         let before = retrieved(&mut robot.recogniser, 20);
         drop(robot);
-        let mut robot = Robot::new(None, options, PlaceMap::open(folder.path()).unwrap());
+        let mut robot = Robot::new(None, options, opened(folder.path()));
         assert_eq!(retrieved(&mut robot.recogniser, 20), before);
+    }
+
+    #[test]
+    fn places_that_memory_has_no_room_for_come_back_when_the_robot_approaches_them() {
+        let options = RecognitionOptions { memory_bytes: 70_000, place_interval: 0, ..no_interval() };
+        let mut robot = Robot::new(None, options, in_memory());
+        let there: Vec<Option<PlaceId>> = (0..64).map(|place| robot.see(place, 0).place).collect();
+        let working_places = robot.recogniser.working_places();
+        assert!((8..40).contains(&working_places), "{working_places}");
+        assert!(robot.recogniser.index_bytes() < 70_000, "{}", robot.recogniser.index_bytes());
+        // Back to the beginning, step by step: each place brings the ones before it.
+        let back: Vec<Option<PlaceId>> = (0..64).rev().map(|place| robot.see(place, 0).place).collect();
+        assert_eq!(back, there.into_iter().rev().collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_robot_carried_to_places_that_wait_looks_around_until_it_knows_where_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut robot = Robot::new(None, no_interval(), opened(folder.path()));
+        let there: Vec<Option<PlaceId>> = (0..64).map(|place| robot.see(place, 0).place).collect();
+        drop(robot);
+        let options = RecognitionOptions { memory_bytes: 70_000, read_only: true, ..no_interval() };
+        let map = PlaceMap::open_read_only(folder.path()).unwrap();
+        let mut robot = Robot::new(None, options, map);
+        assert!(robot.recogniser.working_places() < 40);
+        let answers: Vec<Recognition> = (0..12).map(|_| robot.see(5, 0)).collect();
+        assert_eq!(answers[0].decision, Decision::Unknown);
+        assert_eq!((answers[11].decision, answers[11].place), (Decision::Revisited, there[5]));
+    }
+
+    /// A map of two places of one keyframe each, between whose foundings so many frames showed a third one.
+    fn map_of(first: u64, between: u64, second: u64) -> PlaceMap {
+        let robot = Robot::without_cnn();
+        let mut map = in_memory();
+        let mut learn = |place: Option<PlaceId>, seed: u64| {
+            let traits =
+                Traits { words: robot.recogniser.keyframes.words_of(&features(seed)), appearance: None };
+            let (frame, features) = (robot.frame(), features(seed));
+            let keyframe = place.is_none().then_some((&features, &traits));
+            let new = NewExperience {
+                frame: &frame,
+                view: seed,
+                mean_luminance: 120.0,
+                thumbnail_jpeg: &[],
+                keyframe,
+            };
+            map.learn(place, &new).unwrap();
+        };
+        learn(None, first);
+        learn(None, 7);
+        (0..between).for_each(|seed| learn(Some(PlaceId(1)), seed));
+        learn(None, second);
+        map
+    }
+
+    /// Sees `place` on so many visits, and what it was recognised as.
+    fn visits(robot: &mut Robot, place: u64, count: usize) -> Option<PlaceId> {
+        let mut seen = None;
+        for _ in 0..count {
+            seen = robot.see(place, 0).place;
+            (0..25).for_each(|_| robot.leave());
+        }
+        seen
+    }
+
+    #[test]
+    fn a_place_that_was_founded_twice_becomes_one_after_three_visits() {
+        let options = RecognitionOptions { place_interval: 1, ..no_interval() };
+        let mut robot = Robot::new(None, options, map_of(0, 60, 0));
+        visits(&mut robot, 0, 2);
+        assert_eq!(robot.recogniser.map().summary().merged_places, 0, "two visits are no proof");
+        visits(&mut robot, 0, 1);
+        assert_eq!(robot.recogniser.map().summary().merged_places, 1);
+        assert_eq!(robot.recogniser.map().place(PlaceId(2)).unwrap().id, PlaceId(0), "old numbers resolve");
+        assert_eq!(visits(&mut robot, 0, 1), Some(PlaceId(0)));
+    }
+
+    #[test]
+    fn places_founded_one_after_the_other_share_views_and_are_never_merged() {
+        let options = RecognitionOptions { place_interval: 1, ..no_interval() };
+        let mut robot = Robot::new(None, options, map_of(0, 10, 0));
+        visits(&mut robot, 0, 5);
+        assert_eq!(robot.recogniser.map().summary().merged_places, 0);
+    }
+
+    #[test]
+    fn places_of_another_map_are_recognised_with_their_evidence() {
+        let other = map_of(0, 0, 20);
+        let mut robot = Robot::without_cnn();
+        let places = [5, 7, 0].map(|place| robot.see(place, 0).place.unwrap());
+        let joins = robot.recogniser.joins(&other).unwrap();
+        let found: Vec<(PlaceId, PlaceId)> = joins.iter().map(|join| (join.other, join.place)).collect();
+        assert_eq!(found, [(PlaceId(0), places[2]), (PlaceId(1), places[1])]);
+        assert!(joins.iter().all(|join| (join.matched, join.keyframes, join.cosine) == (1, 1, None)));
+        assert!(joins.iter().all(|join| join.inliers > Some(50)));
+        assert_eq!(robot.recogniser.map().summary().experiences, 3, "nothing is changed");
+    }
+
+    #[test]
+    fn a_merge_of_places_that_only_looked_alike_is_undone() {
+        let mut map = map_of(0, 60, 1);
+        map.merge_places(PlaceId(2), PlaceId(0)).unwrap();
+        let mut robot = Robot::new(None, RecognitionOptions { place_interval: 1, ..no_interval() }, map);
+        visits(&mut robot, 0, 5);
+        assert_eq!(robot.recogniser.map().summary().merged_places, 1);
+        visits(&mut robot, 0, 1);
+        assert_eq!(robot.recogniser.map().summary().merged_places, 0);
+        assert_eq!(visits(&mut robot, 1, 1), Some(PlaceId(2)), "what was learnt as it is its own again");
+        assert_eq!(visits(&mut robot, 0, 1), Some(PlaceId(0)));
     }
 
     #[test]
     fn a_read_only_map_answers_unknown_and_stays_as_it_is() {
         let folder = tempfile::tempdir().unwrap();
-        let mut robot = Robot::new(Some(card()), no_interval(), PlaceMap::open(folder.path()).unwrap());
+        let mut robot = Robot::new(Some(card()), no_interval(), opened(folder.path()));
         robot.see(0, 0);
         robot.leave();
         let before = robot.recogniser.map().summary();
@@ -678,11 +759,11 @@ mod tests {
     #[test]
     fn descriptors_of_another_model_are_never_compared() {
         let folder = tempfile::tempdir().unwrap();
-        let mut robot = Robot::new(Some(card()), no_interval(), PlaceMap::open(folder.path()).unwrap());
+        let mut robot = Robot::new(Some(card()), no_interval(), opened(folder.path()));
         robot.see(0, 0);
         drop(robot);
         let other = cnn::ModelCard { sha256: "f".repeat(64), ..card() };
-        let map = PlaceMap::open(folder.path()).unwrap();
+        let map = opened(folder.path());
         let mut robot = Robot::new(Some(other), no_interval(), map);
         let answer = robot.see(0, 0);
         assert_eq!(answer.decision, Decision::Revisited, "found by BoW+HV alone");

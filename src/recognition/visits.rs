@@ -37,6 +37,11 @@ impl Visits {
         visit.is_none_or(|visit| self.is_recent(visit.began))
     }
 
+    /// From now on visits to `from` are visits to `into`.
+    pub(super) fn rename(&mut self, from: PlaceId, into: PlaceId) {
+        self.open.iter_mut().filter(|visit| visit.place == from).for_each(|visit| visit.place = into);
+    }
+
     /// Counts a frame that shows `place`; `founded` if it founded it.
     pub(super) fn move_to(&mut self, place: PlaceId, founded: bool) {
         let now = self.frames_decided;

@@ -1,8 +1,7 @@
 //! The inverted index: for every word the images that show it.
 
-use std::collections::HashMap;
-
 use heapless::Vec as FixedVec;
+use rustc_hash::FxHashMap;
 
 use super::BowVector;
 use crate::vocabulary::WordId;
@@ -29,26 +28,82 @@ struct Posting {
     weight: f32,
 }
 
+/// Share of the documents, and fewest, that may be removed before their postings are swept out.
+const SWEEP_SHARE: usize = 8;
+const FEWEST_SWEPT: usize = 64;
+
 /// Posting lists of the words that were seen; a vocabulary has many more.
 #[derive(Default)]
 pub struct InvertedIndex {
-    postings: HashMap<WordId, Vec<Posting>>,
+    /// Each sorted by document.
+    postings: FxHashMap<WordId, Vec<Posting>>,
     /// Score of each document in the query under way; all zero in between.
     accumulators: Vec<f32>,
+    is_removed: Vec<bool>,
+    /// Documents that were removed and still have postings.
+    unswept: Vec<u32>,
+    /// Numbers of swept documents, to be given again.
+    free: Vec<u32>,
 }
 
 impl InvertedIndex {
-    /// Indexes an image.
+    /// Indexes an image. Numbers of removed ones are given again.
     pub fn add(&mut self, bow: &BowVector) -> DocumentId {
-        let document = self.accumulators.len() as u32;
-        self.accumulators.push(0.0);
+        let document = self.free.pop().unwrap_or(self.accumulators.len() as u32);
+        if document as usize == self.accumulators.len() {
+            self.accumulators.push(0.0);
+            self.is_removed.push(false);
+        }
+        self.is_removed[document as usize] = false;
         for &(word, weight) in bow.entries() {
-            self.postings.entry(word).or_default().push(Posting { document, weight: weight as f32 });
+            let postings = self.postings.entry(word).or_default();
+            let position = match postings.last() {
+                Some(last) if last.document > document => {
+                    postings.partition_point(|posting| posting.document < document)
+                }
+                _ => postings.len(),
+            };
+            postings.insert(position, Posting { document, weight: weight as f32 });
         }
         DocumentId(document)
     }
 
-    /// From now on, what was indexed as `word` counts as `other`, with the weight that it has.
+    /// Forgets an image: it is not found any more. Its postings go when there are many such; answers whether they
+    /// did.
+    pub fn remove(&mut self, document: DocumentId) -> bool {
+        let Some(is_removed) = self.is_removed.get_mut(document.0 as usize).filter(|removed| !**removed)
+        else {
+            return false;
+        };
+        *is_removed = true;
+        self.unswept.push(document.0);
+        let is_due = self.unswept.len() >= FEWEST_SWEPT.max(self.len() / SWEEP_SHARE);
+        if is_due {
+            self.sweep();
+        }
+        is_due
+    }
+
+    /// Frees the memory of what was removed.
+    pub fn sweep(&mut self) {
+        self.postings.retain(|_, postings| {
+            postings.retain(|posting| !self.is_removed[posting.document as usize]);
+            postings.shrink_to(2 * postings.len());
+            !postings.is_empty()
+        });
+        self.postings.shrink_to(2 * self.postings.len());
+        self.free.append(&mut self.unswept);
+    }
+
+    /// Whether some image shows `word`.
+    #[must_use]
+    pub fn shows(&self, word: WordId) -> bool {
+        self.postings.contains_key(&word)
+    }
+
+    /// From now on, what was indexed as `word` counts as `other`, with the weight that it has; the weights of an
+    /// image that shows both are added up. Where repetitions count (tf-idf, tf) and both words weigh the same, that
+    /// is as if they had been one from the start; where they do not (idf, binary), such an image counts it twice.
     pub fn merge(&mut self, word: WordId, other: WordId) {
         let Some(moved) = self.postings.remove(&word) else { return };
         let postings = self.postings.entry(other).or_default();
@@ -63,13 +118,13 @@ impl InvertedIndex {
     /// Number of indexed images.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.accumulators.len()
+        self.accumulators.len() - self.free.len() - self.unswept.len()
     }
 
-    /// Whether nothing was indexed yet.
+    /// Whether no image is indexed.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.accumulators.is_empty()
+        self.len() == 0
     }
 
     /// The images that `wanted` accepts and that score best, best first, at most [`MAX_RETRIEVED`].
@@ -96,7 +151,7 @@ impl InvertedIndex {
         let mut best = FixedVec::new();
         for document in touched {
             let score = std::mem::take(&mut self.accumulators[document as usize]);
-            if wanted(DocumentId(document)) {
+            if !self.is_removed[document as usize] && wanted(DocumentId(document)) {
                 insert_sorted(&mut best, Retrieved { document: DocumentId(document), score });
             }
         }
@@ -168,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn a_merged_word_counts_as_if_it_had_been_the_other_one_from_the_start() {
+    fn where_repetitions_count_a_merged_word_counts_as_if_it_had_been_the_other_one_from_the_start() {
         let weighted = |words: &[u32]| {
             BowVector::weighted(words.iter().map(|&word| (WordId(word), 1.0)), Weighting::TfIdf)
         };
@@ -183,6 +238,39 @@ mod tests {
         merged.merge(WordId(7), WordId(1));
         for query in [&[1_u32] as &[u32], &[1, 1, 2], &[2, 3], &[9]] {
             assert_eq!(merged.query(&weighted(query), |_| true), expected.query(&weighted(query), |_| true));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_was_removed_is_found_no_more_and_its_place_is_taken(
+            steps in proptest::collection::vec((proptest::collection::vec(0..20_u32, 1..12), 0..3_u32), 1..400),
+            query in proptest::collection::vec(0..20_u32, 1..12),
+        ) {
+            let vocabulary = vocabulary();
+            let bow = |words: &[u32]| BowVector::new(words.iter().copied().map(WordId), &vocabulary);
+            let mut index = InvertedIndex::default();
+            let mut known: Vec<(DocumentId, Vec<u32>)> = Vec::new();
+            for (words, removals) in steps {
+                for _ in 0..removals.min(known.len() as u32) {
+                    let (document, _) = known.remove(words[0] as usize % known.len());
+                    index.remove(document);
+                    index.remove(document);
+                }
+                known.push((index.add(&bow(&words)), words));
+                prop_assert_eq!(index.len(), known.len());
+            }
+            let mut expected: Vec<f32> =
+                known.iter().map(|(_, words)| score_by_definition(&bow(&query), &bow(words))).collect();
+            expected.retain(|&score| score > 1e-5);
+            expected.sort_by(|a, b| b.total_cmp(a));
+            let found = index.query(&bow(&query), |_| true);
+            prop_assert_eq!(found.len(), expected.len().min(MAX_RETRIEVED));
+            for (found, expected) in found.iter().zip(&expected) {
+                prop_assert!((found.score - expected).abs() < 1e-5);
+                let words = &known.iter().find(|(document, _)| *document == found.document).unwrap().1;
+                prop_assert!((score_by_definition(&bow(&query), &bow(words)) - expected).abs() < 1e-5);
+            }
         }
     }
 

@@ -74,6 +74,12 @@ impl FileKind {
         Ok((version, body))
     }
 
+    /// The checksum that the header of `file` states, 0 if there is none.
+    #[must_use]
+    pub fn checksum(&self, file: &[u8]) -> u32 {
+        file.first_chunk::<HEADER_BYTES>().map_or(0, |header| field_u32(header, 12))
+    }
+
     /// Checks the body of `file` against the checksum in its header.
     ///
     /// # Errors
@@ -87,6 +93,12 @@ impl FileKind {
         }
         Ok(())
     }
+}
+
+/// CRC-32 of `bytes`.
+#[must_use]
+pub fn checksum(bytes: &[u8]) -> u32 {
+    crc32fast::hash(bytes)
 }
 
 /// The little-endian u32 at `offset`, which lies inside the header.

@@ -1,17 +1,27 @@
-//! Files that can be trusted: read-only memory maps with a checked header, a log of checksummed
+//! Files that can be trusted: read-only memory maps with a checked header, folders of logs of checksummed
 //! records, and files that are replaced whole or not at all.
 
+mod append_file;
+#[cfg(test)]
+pub(crate) mod faulty;
+mod folder;
 mod header;
 mod lock;
 mod log;
 mod mapped;
+mod record;
 mod replace;
 
-pub use header::{FileKind, HEADER_BYTES};
+pub use append_file::{AppendFile, DiskFile, MemoryFile};
+pub use folder::{BESIDE_SUFFIX, DiskFolder, Folder, MemoryFolder, replace};
+pub use header::{FileKind, HEADER_BYTES, checksum};
 pub use lock::WriterLock;
-pub use log::{FileLog, LogStore, MemoryLog, RecordLog, Recovery};
+pub use log::{
+    LOG_HEADER_BYTES, LogSyncer, LoggedRecord, Reading, RecordLog, Recovery, Surveyed, Tail, log_kind,
+};
 pub use mapped::FileBytes;
-pub use replace::{check_replaceable, replace_file};
+pub use record::Envelope;
+pub use replace::{Replacement, check_replaceable, replace_file};
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -51,6 +61,18 @@ pub enum StorageError {
         got: u32,
         /// The newest that can be read.
         newest: u32,
+    },
+    /// The file was written by an earlier Loci, whose files of this kind are not read any more.
+    #[error("{} is a {kind} of version {got}, this Loci reads from {oldest} on: move it away", path.display())]
+    TooOld {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        kind: &'static str,
+        /// Its version.
+        got: u32,
+        /// The oldest that can be read.
+        oldest: u32,
     },
     /// The bytes are not what was written.
     #[error("{} is damaged: {reason}; restore it from a copy", path.display())]

@@ -41,6 +41,7 @@ struct Line<'a> {
     place: Option<u32>,
     name: Option<&'a str>,
     keyframe: Option<u32>,
+    experience: Option<u32>,
     confidence: f64,
     inliers: Option<u32>,
     candidates: Vec<CandidateLine>,
@@ -81,6 +82,7 @@ impl<'a> From<&'a FrameRecord> for Line<'a> {
             place: recognition.place.map(|place| place.0),
             name: recognition.name.as_deref(),
             keyframe: recognition.keyframe.map(|keyframe| keyframe.0),
+            experience: recognition.experience.map(|experience| experience.0),
             confidence: rounded(recognition.confidence),
             inliers: recognition.inliers,
             candidates: recognition.candidates.iter().map(CandidateLine::from).collect(),
@@ -167,6 +169,7 @@ mod tests {
             place: Some(PlaceId(17)),
             name: Some("dock 3".to_owned()),
             keyframe: Some(ExperienceId(233)),
+            experience: Some(ExperienceId(412)),
             confidence: 0.993,
             inliers: None,
             candidates: Candidates::from_iter([accepted, rejected]),
@@ -195,7 +198,7 @@ mod tests {
     fn a_line_reads_as_documented() {
         let expected = concat!(
             r#"{"frame":412,"capture_nanos":1723456789000000000,"decision":"recognised","by":"cnn","#,
-            r#""place":17,"name":"dock 3","keyframe":233,"confidence":0.993,"inliers":null,"#,
+            r#""place":17,"name":"dock 3","keyframe":233,"experience":412,"confidence":0.993,"inliers":null,"#,
             r#""candidates":[{"place":17,"by":"cnn","score":0.993},"#,
             r#"{"place":9,"by":"bow_hv","score":0.041,"inliers":6,"rejected":"inliers 6 < 12"}],"#,
             r#""latency_us":{"decode":310,"features":980,"cnn":2100,"retrieval":120,"verification":60,"total":2600}}"#,

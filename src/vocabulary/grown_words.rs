@@ -92,20 +92,29 @@ impl GrownWords {
         descriptors.iter().zip(quantised).map(offshoot).collect()
     }
 
-    /// The words of an image that is learnt: as [`words_of`](Self::words_of), but what neither the vocabulary nor a
-    /// grown word covers becomes a new word. [`purge`](Self::purge) follows.
-    pub fn learn(&mut self, descriptors: &[Descriptor], quantised: &[Quantised]) -> Vec<Offshoot> {
+    /// The words of an image that is learnt: as [`words_of`](Self::words_of), but what neither `vocabulary`, that
+    /// of [`new`](Self::new), nor a grown word covers becomes a new word. [`purge`](Self::purge) follows.
+    pub fn learn(
+        &mut self,
+        descriptors: &[Descriptor],
+        quantised: &[Quantised],
+        vocabulary: &Vocabulary,
+    ) -> Vec<Offshoot> {
         self.images += 1;
         let mut offshoots = Vec::with_capacity(descriptors.len());
         for (descriptor, quantised) in descriptors.iter().zip(quantised) {
-            let is_covered = is_covered(quantised);
-            offshoots.push(if is_covered { trained(quantised) } else { self.meet(descriptor, quantised) });
+            offshoots.push(if is_covered(quantised) {
+                trained(quantised)
+            } else {
+                self.meet(descriptor, quantised, vocabulary)
+            });
         }
         offshoots
     }
 
-    /// The grown word of a descriptor that the vocabulary does not cover, new if need be.
-    fn meet(&mut self, descriptor: &Descriptor, quantised: &Quantised) -> Offshoot {
+    /// The grown word of a descriptor that the vocabulary does not cover, new if need be. Out of a word that
+    /// weighs nothing none grows: it would weigh nothing either.
+    fn meet(&mut self, descriptor: &Descriptor, quantised: &Quantised, vocabulary: &Vocabulary) -> Offshoot {
         let image = self.images;
         let node = self.nodes.entry(quantised.node).or_default();
         if let Some(position) = node.find(descriptor) {
@@ -114,7 +123,8 @@ impl GrownWords {
             word.last_seen = image;
             return word.offshoot;
         }
-        let Some(after) = self.next_word.checked_add(1).filter(|_| self.live_words < MAX_WORDS) else {
+        let may_grow = self.live_words < MAX_WORDS && vocabulary.weight(quantised.word) > 0.0;
+        let Some(after) = self.next_word.checked_add(1).filter(|_| may_grow) else {
             return trained(quantised);
         };
         let offshoot = Offshoot { word: WordId(self.next_word), origin: quantised.word };
@@ -125,8 +135,23 @@ impl GrownWords {
         offshoot
     }
 
+    /// Forgets the words that no image shows any more.
+    pub fn retain(&mut self, is_shown: impl Fn(WordId) -> bool) {
+        self.nodes.retain(|_, node| {
+            let grown = std::mem::take(node);
+            for (descriptor, word) in grown.descriptors.into_iter().zip(grown.words) {
+                if is_shown(word.offshoot.word) {
+                    node.descriptors.push(descriptor);
+                    node.words.push(word);
+                }
+            }
+            !node.words.is_empty()
+        });
+        self.live_words = self.nodes.values().map(|node| node.words.len()).sum();
+    }
+
     /// Forgets the words that only one image showed and whose trial of two more images is over; answers
-    /// which. Whatever showed them shows their origins again.
+    /// which. Whatever showed them shows their origins again, unless another word grows nearby.
     pub fn purge(&mut self) -> Vec<Offshoot> {
         let images = self.images;
         let fails = |word: &GrownWord| !word.is_confirmed && images - word.born >= TRIAL_IMAGES;
@@ -186,10 +211,10 @@ mod tests {
         }))
     }
 
-    /// Learns an image of one descriptor each, all under node 1 and badly covered.
+    /// Learns an image of these descriptors, all under node 1 and badly covered.
     fn learn(grown: &mut GrownWords, ones: &[usize]) -> Vec<WordId> {
         let descriptors: Vec<Descriptor> = ones.iter().map(|&ones| descriptor(ones)).collect();
-        words(&grown.learn(&descriptors, &vec![quantised(1, 100); ones.len()]))
+        words(&grown.learn(&descriptors, &vec![quantised(1, 100); ones.len()], &vocabulary()))
     }
 
     fn purge(grown: &mut GrownWords) -> Vec<WordId> {
@@ -200,9 +225,31 @@ mod tests {
 
     #[test]
     fn what_the_vocabulary_covers_keeps_its_word() {
-        let mut grown = GrownWords::new(&vocabulary());
-        assert_eq!(words(&grown.learn(&[descriptor(9)], &[quantised(1, 64)])), [WordId(1)]);
+        let vocabulary = vocabulary();
+        let mut grown = GrownWords::new(&vocabulary);
+        assert_eq!(words(&grown.learn(&[descriptor(9)], &[quantised(1, 64)], &vocabulary)), [WordId(1)]);
         assert_eq!(grown.word_count(), 0);
+    }
+
+    #[test]
+    fn out_of_a_word_that_weighs_nothing_no_word_grows() {
+        let (everywhere, rare) = (Descriptor([0; 32]), Descriptor([255; 32]));
+        let images = [vec![everywhere, rare], vec![everywhere]];
+        let options = TrainingOptions { branching: 2, depth: 1, ..TrainingOptions::default() };
+        let vocabulary = train(&images, options).unwrap();
+        let far_from = |known: &Descriptor| Quantised {
+            word: vocabulary.quantise(known).word,
+            node: NodeId(1),
+            distance_bits: 100,
+        };
+        let (weightless, weighty) = (far_from(&everywhere), far_from(&rare));
+        assert_eq!(vocabulary.weight(weightless.word), 0.0);
+        let mut grown = GrownWords::new(&vocabulary);
+        let learnt = grown.learn(&[descriptor(100)], &[weightless], &vocabulary);
+        assert_eq!((learnt[0].word, grown.word_count()), (weightless.word, 0));
+        let learnt = grown.learn(&[descriptor(100)], &[weighty], &vocabulary);
+        assert_eq!((learnt[0].origin, grown.word_count()), (weighty.word, 1));
+        assert_eq!(grown.learn(&[descriptor(90)], &[weightless], &vocabulary), learnt, "near one that grew");
     }
 
     #[test]
@@ -261,7 +308,7 @@ mod tests {
             for (image, features) in images.iter().enumerate() {
                 let descriptors: Vec<Descriptor> = features.iter().map(|f| descriptor(f.0)).collect();
                 let seen: Vec<Quantised> = features.iter().map(|f| quantised(f.1, f.2)).collect();
-                let learnt = grown.learn(&descriptors, &seen);
+                let learnt = grown.learn(&descriptors, &seen, &vocabulary);
                 for ((descriptor, feature), offshoot) in descriptors.iter().zip(features).zip(learnt) {
                     prop_assert_eq!(offshoot.origin, WordId(feature.1));
                     if feature.2 <= 64 {

@@ -131,6 +131,11 @@ pub enum VocabularyError {
     /// Nothing to learn from.
     #[error("no features in the training images: use sharper or larger ones")]
     NothingToLearn,
+    /// All words are in every image that shows any, so that none counts.
+    #[error(
+        "no word weighs anything: each one that these images show is in all of them; add images of other scenes"
+    )]
+    NothingRare,
     /// The settings make no tree.
     #[error("a vocabulary needs a branching of 2 to 32 and a depth of 1 to 8, got {branching} and {depth}")]
     BadShape {

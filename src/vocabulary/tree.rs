@@ -157,6 +157,12 @@ impl Vocabulary {
         self.version
     }
 
+    /// What tells it from other vocabularies: its words mean the same under the same fingerprint.
+    #[must_use]
+    pub fn fingerprint(&self) -> u64 {
+        u64::from(KIND.checksum(&self.bytes)) << 32 | u64::from(self.counts.nodes)
+    }
+
     /// Weight of a word of this vocabulary, for tf-idf its inverse document frequency ln(N / Nᵢ). 0, as if
     /// every image showed it, for any other word, and where a damaged file says no sensible number.
     #[must_use]
@@ -194,6 +200,20 @@ impl Vocabulary {
             }
         }
         descents.into_iter().map(Descent::end).collect()
+    }
+
+    /// The node near the root of every descriptor, as in [`Quantised::node`], without going on to its word.
+    #[must_use]
+    pub fn nodes(&self, descriptors: &[Descriptor]) -> Vec<NodeId> {
+        let tables = self.tables();
+        let node = |descriptor| {
+            let mut descent = Descent::default();
+            for level in 0..DIRECT_INDEX_LEVEL {
+                descent.step(tables, descriptor, level);
+            }
+            NodeId(descent.node)
+        };
+        descriptors.iter().map(node).collect()
     }
 
     fn tables(&self) -> Tables<'_> {

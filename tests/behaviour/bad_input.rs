@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::os::unix::fs::FileTypeExt;
-#[cfg(feature = "cnn")]
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -131,6 +130,21 @@ fn a_training_does_not_go_on_with_the_file_of_another_one() {
     assert!(!out.exists());
 }
 
+/// Trains for `out` and kills the training while it extracts.
+fn kill_in_between(train: &[&str], out: &Path) {
+    let mut process = Command::new(env!("CARGO_BIN_EXE_loci"));
+    let process = process.args(train).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut process = process.spawn().unwrap();
+    let unfinished = format!("{}.training", out.display());
+    let extracted = || fs::metadata(&unfinished).map_or(0, |file| file.len());
+    while extracted() < 100_000 {
+        assert!(process.try_wait().unwrap().is_none(), "it ended before it could be killed");
+    }
+    process.kill().unwrap();
+    process.wait().unwrap();
+    assert!(!out.exists());
+}
+
 #[test]
 fn a_training_that_is_killed_goes_on_and_ends_in_the_same_file() {
     let folder = folder_with(&[]);
@@ -140,22 +154,51 @@ fn a_training_that_is_killed_goes_on_and_ends_in_the_same_file() {
     let whole = path("whole.lvoc");
     assert_eq!(loci(&[&train[..], &[text(&whole)]].concat()).code, 0);
 
-    let mut process = Command::new(env!("CARGO_BIN_EXE_loci"));
-    let process = process.args(train).arg(&out).stdout(Stdio::null()).stderr(Stdio::null());
-    let mut process = process.spawn().unwrap();
-    let extracted = || fs::metadata(path("v.lvoc.training")).map_or(0, |file| file.len());
-    while extracted() < 100_000 {
-        assert!(process.try_wait().unwrap().is_none(), "it ended before it could be killed");
-    }
-    process.kill().unwrap();
-    process.wait().unwrap();
-    assert!(!out.exists());
-
+    kill_in_between(&[&train[..], &[text(&out)]].concat(), &out);
     let resumed = loci(&[&train[..], &[text(&out)]].concat());
     assert_eq!(resumed.code, 0, "{}", resumed.stderr);
     assert!(resumed.stderr.contains("going on with the"), "{}", resumed.stderr);
     assert!(fs::read(&out).unwrap() == fs::read(&whole).unwrap());
     assert!(!path("v.lvoc.training").exists());
+}
+
+#[test]
+fn a_training_goes_on_beside_its_images_whatever_else_lies_there_and_not_with_other_images() {
+    let folder = folder_with(&[]);
+    let mut source = loci::source::open("synthetic:street?laps=1&frames=6", None).unwrap();
+    while let Some(frame) = source.next_frame() {
+        let frame = frame.unwrap();
+        for copy in 0..20 {
+            let name = format!("{copy}_{}.jpg", frame.index);
+            fs::write(folder.path().join(name), jpeg(&frame.colour)).unwrap();
+        }
+    }
+    let out = folder.path().join("site.lvoc");
+    let train = ["vocab", "train", text(folder.path()), "--depth", "2", "--out", text(&out)];
+    kill_in_between(&train, &out);
+    fs::write(folder.path().join("notes.txt"), "the hall, by noon").unwrap();
+    let added = folder.path().join("added.jpg");
+    fs::write(&added, picture()).unwrap();
+    loci(&train).assert_failed(1, &["site.lvoc.training is what a training of other images left behind"]);
+    fs::remove_file(added).unwrap();
+    let resumed = loci(&train);
+    assert_eq!(resumed.code, 0, "{}", resumed.stderr);
+    assert!(resumed.stderr.contains("going on with the"), "{}", resumed.stderr);
+    assert!(out.exists());
+}
+
+#[test]
+fn one_bad_image_among_those_of_a_bench_is_reported_and_skipped() {
+    let picture = picture();
+    let folder = folder_with(&[("1.jpg", b""), ("2.jpg", &picture)]);
+    let bench = |folder: &Path| loci(&["vocab", "bench", "vocab/default.lvoc", "--images", text(folder)]);
+    let timed = bench(folder.path());
+    assert_eq!(timed.code, 3, "{}", timed.stderr);
+    assert!(timed.stderr.starts_with("loci: skipped: ") && timed.stderr.contains("1.jpg: the file is empty"));
+    assert!(timed.stdout.contains("look up"), "{}", timed.stdout);
+    fs::remove_file(folder.path().join("2.jpg")).unwrap();
+    let timed = bench(folder.path());
+    assert!(timed.code == 1 && timed.stderr.contains("no features in"), "{}", timed.stderr);
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! The commands: their help, their exit codes, and what they print.
 
 use std::fs;
+use std::path::Path;
 
-use crate::program::{loci, text};
+use crate::program::{loci, loci_with_vocabulary_variable, text};
 
 #[test]
 fn commands_that_are_not_built_say_so_and_fail() {
@@ -10,14 +11,12 @@ fn commands_that_are_not_built_say_so_and_fail() {
         let message = format!("`loci {command}` is not built yet");
         loci(&[command, "--with", "anything"]).assert_failed(1, &[&message]);
     }
-    for arguments in [["map", "verify"], ["map", "rename"]] {
-        loci(&arguments).assert_failed(1, &["is not built yet"]);
-    }
+    loci(&["map", "merge", "a", "b"]).assert_failed(1, &["`loci map merge` is not built yet"]);
 }
 
 #[test]
 fn help_of_every_built_command_shows_an_example() {
-    let commands: [&[&str]; 9] = [
+    let commands: [&[&str]; 13] = [
         &["run"],
         &["demo"],
         &["evaluate"],
@@ -26,6 +25,10 @@ fn help_of_every_built_command_shows_an_example() {
         &["vocab", "bench"],
         &["vocab", "info"],
         &["map", "info"],
+        &["map", "verify"],
+        &["map", "export"],
+        &["map", "rename"],
+        &["map", "compact"],
         &["doctor"],
     ];
     for command in commands {
@@ -89,6 +92,8 @@ fn a_vocabulary_is_timed() {
     assert_eq!(bench.code, 0, "{}", bench.stderr);
     let report = &bench.records()[0];
     assert_eq!((&report["words"], &report["descriptors"]), (&99_149.into(), &1000.into()));
+    let sets = report["different_sets"].as_u64().unwrap();
+    assert!((12..=24).contains(&sets), "about one of each of the 24 frames: {report}");
     for time in ["open_to_first_word_us", "bow_us"] {
         assert!(report[time].as_f64().unwrap() > 1.0, "{report}");
     }
@@ -123,7 +128,31 @@ fn a_vocabulary_without_weights_learns_them_from_images() {
     assert!((1..512).contains(&info["weightless_words"].as_u64().unwrap()), "{info}");
     assert!(info["mean_luminance"].as_f64().unwrap() > 20.0, "{info}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
-    weigh(text(folder.path())).assert_failed(1, &[text(folder.path())]);
+    weigh(text(folder.path())).assert_failed(1, &["no images in", text(folder.path())]);
+}
+
+#[test]
+fn images_that_weigh_no_word_are_refused_for_an_import_and_reported_by_a_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("orb.lvoc");
+    let fbow = "tests/data/vocabulary/orb_k8_l3.fbow";
+    let weigh =
+        |images: &str| loci(&["vocab", "import", fbow, "--weights-from", images, "--out", text(&path)]);
+    let one_image = "synthetic:street?laps=1&frames=1";
+    weigh(one_image).assert_failed(1, &["no word weighs anything", "add images of other scenes"]);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left behind");
+    let weighed = weigh("synthetic:street?laps=1&frames=2");
+    assert!(weighed.code == 0 && weighed.stderr.is_empty(), "{}", weighed.stderr);
+
+    let train =
+        |images: &str| loci(&["vocab", "train", images, "--depth", "2", "--out", text(&path), "--json"]);
+    let trained = train(one_image);
+    assert_eq!(trained.code, 0, "{}", trained.stderr);
+    assert!(trained.stderr.starts_with("loci: no word weighs anything: "), "{}", trained.stderr);
+    let info = &trained.records()[0];
+    assert_eq!(info["weightless_words"], info["words"]);
+    let trained = train("synthetic:street?laps=1&frames=2");
+    assert!(trained.code == 0 && trained.stderr.is_empty(), "{}", trained.stderr);
 }
 
 #[test]
@@ -147,6 +176,30 @@ fn the_doctor_finds_every_part_in_order() {
     let broken = loci(&["doctor", "--vocab", "/dev/null"]);
     assert_eq!(broken.code, 1);
     assert!(broken.stdout.contains("FAIL  vocabulary"), "{}", broken.stdout);
+}
+
+#[test]
+fn the_doctor_looks_at_the_vocabulary_that_a_variable_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("orb.lvoc");
+    loci(&["vocab", "import", "tests/data/vocabulary/orb_k8_l3.yml.gz", "--out", text(&path)]);
+    let vocabulary = |variable: &Path, arguments: &[&str]| {
+        let doctor = loci_with_vocabulary_variable(variable, &[&["doctor", "--json"], arguments].concat());
+        let finding = doctor.records()[0][0].clone();
+        assert_eq!(finding["part"], "vocabulary");
+        finding
+    };
+    let detail = format!("512 words in {}", path.display());
+    assert_eq!(vocabulary(&path, &[])["detail"], *detail);
+    let missing = Path::new("/none.lvoc");
+    assert_eq!(vocabulary(missing, &[])["health"], "fail");
+    assert_eq!(vocabulary(missing, &["--vocab", text(&path)])["detail"], *detail, "the flag wins");
+}
+
+#[test]
+fn the_demo_uses_the_vocabulary_that_a_variable_names() {
+    let demo = loci_with_vocabulary_variable(Path::new("/none.lvoc"), &["demo"]);
+    demo.assert_failed(1, &["/none.lvoc"]);
 }
 
 #[test]

@@ -115,7 +115,7 @@ fn the_same_command_gives_the_same_figures_but_timing_and_says_how_to_repeat_it(
     let header = &first["header"];
     assert!(header["command"].as_str().unwrap().starts_with("loci evaluate 'synthetic:corridor?laps=1&"));
     assert_eq!(header["vocabularies"][0]["sha256"].as_str().unwrap().len(), 64);
-    assert_eq!(header["settings"]["min_inliers"], "12");
+    assert_eq!(header["settings"]["min_inliers"], "8");
     let strangers = &result(&first, "bow_hv", "map")["figures"]["false_accepts"];
     assert!(strangers["n"].as_u64().unwrap() >= 6, "{strangers}");
     assert_eq!(without_timing(first), without_timing(report(&loci(&worlds))));

@@ -4,6 +4,7 @@ mod bad_input;
 mod commands;
 #[cfg(feature = "evaluation")]
 mod evaluate;
+mod map_care;
 mod program;
 mod real_sequences;
 mod stream;

@@ -44,6 +44,11 @@ pub(crate) fn loci<A: AsRef<OsStr>>(arguments: &[A]) -> Finished {
     finished(Command::new(env!("CARGO_BIN_EXE_loci")).args(arguments))
 }
 
+/// Runs `loci` with `LOCI_VOCAB` set.
+pub(crate) fn loci_with_vocabulary_variable<A: AsRef<OsStr>>(vocabulary: &Path, arguments: &[A]) -> Finished {
+    finished(Command::new(env!("CARGO_BIN_EXE_loci")).args(arguments).env("LOCI_VOCAB", vocabulary))
+}
+
 /// Runs `loci` where no ONNX Runtime can be found.
 pub(crate) fn loci_without_runtime<A: AsRef<OsStr>>(arguments: &[A]) -> Finished {
     let nowhere = tempfile::tempdir().unwrap();

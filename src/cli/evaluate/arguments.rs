@@ -3,6 +3,7 @@
 use std::num::NonZero;
 use std::path::PathBuf;
 
+use bytesize::ByteSize;
 use clap::{Args, ValueHint};
 use loci::evaluation::{ExperimentSpec, FramesSpec, TruthSettings};
 
@@ -146,6 +147,12 @@ struct SettingArguments {
     /// δ_ep: processed frames that join a place unasked after its founding [default: 5]
     #[arg(long, env = "LOCI_PLACE_INTERVAL", value_name = "N")]
     place_interval: Option<u32>,
+    /// Most bytes of the robot's map; what tells least is given up [default: no bound]
+    #[arg(long, env = "LOCI_MAP_DISK", value_name = "SIZE")]
+    map_disk: Option<ByteSize>,
+    /// Most memory of the keyframes that are searched; places not seen for long wait on the disk [default: 256MiB]
+    #[arg(long, env = "LOCI_MAP_MEMORY", value_name = "SIZE")]
+    map_memory: Option<ByteSize>,
     /// Learn words online where the vocabulary covers what is seen badly; the map does, frames do not
     #[arg(long, env = "LOCI_GROW_VOCABULARY", num_args = 0..=1, require_equals = true,
           default_missing_value = "true", value_name = "BOOL")]
@@ -188,6 +195,8 @@ impl EvaluateArguments {
             onnxruntime: self.settings.onnxruntime.clone(),
             sample_interval: self.frames.sample_interval,
             place_interval: self.settings.place_interval,
+            map_disk: self.settings.map_disk,
+            map_memory: self.settings.map_memory,
             grow_vocabulary: self.settings.grow_vocabulary,
             threads: self.settings.threads,
             ..StreamSettings::default()

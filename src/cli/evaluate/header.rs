@@ -5,15 +5,14 @@ use std::path::{Path, PathBuf};
 
 use loci::cnn::ModelCard;
 use loci::evaluation::results::{Asset, Header};
-use loci::evaluation::{Eyes, machine};
+use loci::evaluation::{Eyes, RobotOptions, machine};
 use loci::feature::OrbOptions;
-use loci::recognition::RecognitionOptions;
 use loci::retrieval::MAX_RETRIEVED;
 
 /// The head of a report made with `eyes` and `options`.
 pub(super) fn header(
     eyes: &Eyes,
-    options: &RecognitionOptions,
+    options: &RobotOptions,
     (vocabularies, suite): (&[PathBuf], Option<Asset>),
     backend: String,
 ) -> anyhow::Result<Header> {
@@ -41,7 +40,7 @@ pub(super) fn header(
 /// Every setting that bears on a decision.
 fn setting_values(
     orb: &OrbOptions,
-    recognition: &RecognitionOptions,
+    RobotOptions { recognition, map }: &RobotOptions,
     card: Option<&ModelCard>,
 ) -> BTreeMap<String, String> {
     let verification = &recognition.verification;
@@ -55,6 +54,9 @@ fn setting_values(
         ("orb.min_width_px", orb.min_width_px.to_string()),
         ("place_interval", recognition.place_interval.to_string()),
         ("grow_vocabulary", recognition.grow_vocabulary.to_string()),
+        ("keyframe_features", recognition.keyframe_features.to_string()),
+        ("map_memory_bytes", recognition.memory_bytes.to_string()),
+        ("map_disk_bytes", map.disk_bytes.to_string()),
         ("min_inliers", recognition.min_inliers.to_string()),
         ("retrieval.max_retrieved", MAX_RETRIEVED.to_string()),
         ("verification.loose_tolerance", verification.loose_tolerance.to_string()),

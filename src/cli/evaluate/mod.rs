@@ -14,8 +14,9 @@ use indicatif::{ProgressBar, ProgressDrawTarget};
 use loci::cnn::CnnError;
 use loci::evaluation::layout::LayoutError;
 use loci::evaluation::results::{Asset, Experiment, Report};
-use loci::evaluation::{self, EvaluationError, Evaluator, ExperimentPlan, Suite, report};
+use loci::evaluation::{self, EvaluationError, Evaluator, ExperimentPlan, RobotOptions, Suite, report};
 use loci::pipeline::{Seen, Watcher};
+use loci::place_map::{MapError, MapOptions};
 use loci::source::SourceError;
 use loci::storage::{check_replaceable, replace_file};
 
@@ -103,6 +104,11 @@ fn evaluate(
         }
         None => "no CNN; kernels in plain Rust".to_owned(),
     };
+    let map = match settings.map_disk {
+        Some(_) => stream::map_options(settings)?,
+        None => MapOptions::unbounded(),
+    };
+    let options = RobotOptions { recognition: options, map };
     let header = header::header(&eyes, &options, (&vocabularies, suite), backend)?;
     let progress = Progress { bar: progress_bar(None, "frames", ProgressDrawTarget::stderr()) };
     let mut evaluator = Evaluator::new(eyes, options, keeps_pictures, (stop, &progress));
@@ -186,6 +192,10 @@ impl Watcher for Progress {
 
     fn cnn_failed(&self, frame_name: &str, error: &CnnError) {
         self.bar.suspend(|| eprintln!("loci: {frame_name}: {error}; answered by BoW+HV alone"));
+    }
+
+    fn map_failed(&self, failure: &MapError, _: bool) {
+        self.bar.suspend(|| eprintln!("loci: {failure}"));
     }
 
     fn seen(&self, _: &Seen) {

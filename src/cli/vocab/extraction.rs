@@ -18,9 +18,6 @@ use crate::cli::console::progress_bar;
 /// Frames that are held in memory for each core.
 const FRAMES_PER_CORE: usize = 4;
 
-/// A folder gives the images in it or in its subfolders, and no deeper ones.
-const SUBFOLDER_LEVELS: u32 = 2;
-
 /// The descriptors of every frame of the sources, those that an earlier run extracted included.
 pub(super) fn extract(names: &[String], out: &Path) -> anyhow::Result<TrainingFile> {
     let mut sources: Vec<_> =
@@ -46,26 +43,23 @@ pub(super) fn extract(names: &[String], out: &Path) -> anyhow::Result<TrainingFi
     Ok(corpus)
 }
 
-/// What a source is known by: other images under the same name must not be taken for those that an earlier run
-/// extracted.
+/// What a source is known by, name, length and time of change of its files included: other images under the
+/// same name must not be taken for those that an earlier run extracted.
 fn identity(name: &str) -> String {
     let Ok(path) = Path::new(name).canonicalize() else { return name.to_owned() };
     let mut hasher = DefaultHasher::new();
-    hash_files(&path, SUBFOLDER_LEVELS, &mut hasher);
+    for file in frame_files(&path) {
+        let metadata = file.metadata().ok();
+        (&file, metadata.map(|metadata| (metadata.len(), metadata.modified().ok()))).hash(&mut hasher);
+    }
     format!("{} {:016x}", path.display(), hasher.finish())
 }
 
-/// Hashes name, length and time of change of the file at `path`, or of those in the folder there.
-fn hash_files(path: &Path, levels: u32, hasher: &mut DefaultHasher) {
-    let Ok(metadata) = path.metadata() else { return };
-    if metadata.is_dir() && levels > 0 {
-        let mut entries: Vec<PathBuf> =
-            path.read_dir().into_iter().flatten().flatten().map(|entry| entry.path()).collect();
-        entries.sort();
-        entries.iter().for_each(|entry| hash_files(entry, levels - 1, hasher));
-    } else if metadata.is_file() {
-        (path, metadata.len(), metadata.modified().ok()).hash(hasher);
-    }
+/// The files that the frames of a source are read from: what else lies in a folder, the training in progress
+/// perhaps, has no say in them.
+fn frame_files(path: &Path) -> Vec<PathBuf> {
+    // A folder without images is no source: there is nothing to know it by.
+    if path.is_dir() { source::image_files(path).unwrap_or_default() } else { vec![path.to_owned()] }
 }
 
 type Read = Result<Frame, SourceError>;
@@ -118,21 +112,37 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_is_known_by_what_is_in_it() {
+    fn a_folder_is_known_by_its_images_alone() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("photos");
         fs::create_dir_all(path.join("hall")).unwrap();
-        fs::write(path.join("hall/1.jpg"), b"one").unwrap();
+        fs::write(path.join("1.jpg"), b"one").unwrap();
         let identity = || identity(path.to_str().unwrap());
         let before = identity();
-        assert_eq!(identity(), before);
-        fs::write(path.join("hall/1.jpg"), b"another").unwrap();
+        for other in ["notes.txt", "site.lvoc.training", "hall/3.jpg"] {
+            fs::write(path.join(other), b"no frame of this folder").unwrap();
+            assert_eq!(identity(), before, "{other}");
+        }
+        fs::write(path.join("1.jpg"), b"another").unwrap();
         let changed = identity();
         assert_ne!(changed, before);
         fs::write(path.join("2.jpg"), b"two").unwrap();
         assert_ne!(identity(), changed);
         let dotted = folder.path().join("photos/../photos");
         assert_eq!(super::identity(dotted.to_str().unwrap()), identity(), "the same folder");
+    }
+
+    #[test]
+    fn a_single_file_is_known_by_itself_and_a_world_by_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let video = folder.path().join("drive.mp4");
+        fs::write(&video, b"one").unwrap();
+        let identity = || identity(video.to_str().unwrap());
+        let before = identity();
+        fs::write(folder.path().join("other.mp4"), b"two").unwrap();
+        assert_eq!(identity(), before);
+        fs::write(&video, b"another").unwrap();
+        assert_ne!(identity(), before);
         assert_eq!(super::identity("synthetic:street"), "synthetic:street");
     }
 }

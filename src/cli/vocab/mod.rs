@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use indicatif::ProgressDrawTarget;
 use loci::storage::check_replaceable;
-use loci::vocabulary::{self, Corpus, TrainingProgress, Vocabulary, WordId, weigh_on};
+use loci::vocabulary::{self, Corpus, TrainingProgress, Vocabulary, VocabularyError, WordId, weigh_on};
 use serde::Serialize;
 
 use self::extraction::extract;
@@ -37,7 +37,8 @@ pub(super) enum VocabCommand {
 pub(super) struct ImportArguments {
     /// ORB-SLAM text, DBoW2 YAML (.yml, .yml.gz), DBoW3 binary, FBoW, or an older .lvoc
     file: PathBuf,
-    /// Weigh the words anew by how many of these images show them: folders, videos, synthetic:… worlds
+    /// Weigh the words anew by how many of these images show them: folders, videos, synthetic:… worlds.
+    /// Words that none of them shows weigh nothing from then on
     #[arg(long, value_name = "IMAGES", num_args = 1..)]
     weights_from: Vec<String>,
     /// File to write
@@ -69,7 +70,8 @@ struct Info {
     depth: u32,
     nodes: u32,
     words: u32,
-    /// Words that never count, because every training image shows them or their weight is unknown.
+    /// Words that never count: every image that they were weighed on shows them, none does, or their weight is
+    /// unknown.
     weightless_words: usize,
     weighting: &'static str,
     /// 0 if unknown.
@@ -117,8 +119,14 @@ fn weigh(vocabulary: &Vocabulary, arguments: &ImportArguments) -> anyhow::Result
         if let TrainingProgress::Weighing { done, .. } = progress {
             bar.set_position(done);
         }
-    })?;
+    });
     bar.finish_and_clear();
+    if matches!(weighted, Err(VocabularyError::NothingRare)) {
+        // Kept, it would be in the way of the images that are tried next.
+        corpus.remove()?;
+        return Err(VocabularyError::NothingRare.into());
+    }
+    let weighted = weighted?;
     weighted.save(&arguments.out)?;
     let outcome = if corpus.frame_count() == corpus.image_count() { Outcome::Done } else { Outcome::Lost };
     corpus.remove()?;

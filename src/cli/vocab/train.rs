@@ -6,7 +6,9 @@ use std::path::PathBuf;
 use clap::{Args, value_parser};
 use indicatif::ProgressDrawTarget;
 use loci::storage::check_replaceable;
-use loci::vocabulary::{Corpus, Trained, TrainingFile, TrainingOptions, TrainingProgress, train_on};
+use loci::vocabulary::{
+    Corpus, Trained, TrainingFile, TrainingOptions, TrainingProgress, VocabularyError, train_on,
+};
 use serde::Serialize;
 
 use super::extraction::extract;
@@ -70,6 +72,9 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     trained.vocabulary.save(&arguments.out)?;
     let report = report(arguments, &trained, corpus.frame_count() - corpus.image_count());
     corpus.remove()?;
+    if report.vocabulary.weightless_words == report.vocabulary.words as usize {
+        eprintln!("loci: {}", VocabularyError::NothingRare);
+    }
     show(&report, arguments.json)?;
     Ok(if report.unreadable_frames == 0 { Outcome::Done } else { Outcome::Lost })
 }

@@ -60,6 +60,7 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
         place: (decision != Decision::Unknown).then_some(PlaceId(17)),
         name: Some("dock|*3*\n# x".to_owned()),
         keyframe: None,
+        experience: None,
         confidence: 0.993,
         inliers: None,
         candidates: Candidates::from_iter([rejected]),

@@ -6,12 +6,15 @@
 //! read.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use crate::feature::Descriptor;
-use crate::storage::{FileKind, FileLog, RecordLog, StorageError};
+use crate::storage::{DiskFile, Envelope, FileKind, LoggedRecord, Reading, RecordLog, StorageError, Tail};
 use crate::vocabulary::VocabularyError;
 
-const KIND: FileKind = FileKind { magic: *b"LOCITRN\0", version: 1, name: "training file" };
+const KIND: FileKind = FileKind { magic: *b"LOCITRN\0", version: 2, name: "training file" };
+/// What every record of it is.
+const FRAME: Envelope = Envelope { kind: 1, version: 1 };
 /// Frames after which the file is synced to the medium: what a power cut may lose at most.
 const SYNC_EVERY_FRAMES: usize = 64;
 const UNREADABLE: [u8; 1] = [0];
@@ -96,12 +99,14 @@ impl TrainingFile {
     /// # Errors
     /// If the file cannot be written, is being written by another process, is damaged, or is of other images.
     pub fn open(path: &Path, of: &str) -> Result<Self, VocabularyError> {
-        let store = FileLog::open(path, true)?.lock(path)?;
+        let file = DiskFile::open(path, true).map_err(StorageError::io("open", path))?.lock(path)?;
         let mut contents = Contents::default();
-        let opened = RecordLog::open(Box::new(store), &KIND, path, true, |offset, payload| {
-            contents.add(offset, payload);
+        let mut visit = |record: LoggedRecord<'_>| {
+            contents.add(record.offset, record.payload.unwrap_or_default());
             Ok(())
-        });
+        };
+        let reading = Reading { from: 0, wanted: |_| true, visit: &mut visit };
+        let opened = RecordLog::open(Arc::new(file), (&KIND, path), Tail::Mended, reading);
         let (log, _) = opened.map_err(|error| match error {
             StorageError::Damaged { path, reason } => VocabularyError::DamagedTraining { path, reason },
             error => error.into(),
@@ -110,7 +115,7 @@ impl TrainingFile {
         let mut file = Self { path: path.to_owned(), log, images, frames, descriptors, luminance_sum };
         match found {
             None => {
-                file.log.append(of.as_bytes())?;
+                file.append(of.as_bytes())?;
             }
             Some(found) if found == of.as_bytes() => {}
             Some(_) => return Err(VocabularyError::OtherImages { path: path.to_owned() }),
@@ -131,12 +136,13 @@ impl TrainingFile {
     pub fn push(&mut self, image: Option<&CorpusImage>) -> Result<(), VocabularyError> {
         match image {
             None => {
-                self.log.append(&UNREADABLE)?;
+                self.append(&UNREADABLE)?;
             }
             Some(image) => {
                 let mut payload = image.mean_luminance.to_le_bytes().to_vec();
                 payload.extend(image.descriptors.iter().flat_map(|descriptor| descriptor.0));
-                self.images.push(self.log.append(&payload)?);
+                let offset = self.append(&payload)?;
+                self.images.push(offset);
                 self.descriptors += image.descriptors.len() as u64;
                 self.luminance_sum += f64::from(image.mean_luminance);
             }
@@ -146,6 +152,11 @@ impl TrainingFile {
             self.log.sync()?;
         }
         Ok(())
+    }
+
+    /// Offset of the new record.
+    fn append(&mut self, payload: &[u8]) -> Result<u64, StorageError> {
+        Ok(self.log.append(&[(FRAME, payload)])?[0])
     }
 
     /// Deletes the file: the training is over.
@@ -197,7 +208,7 @@ impl Corpus for TrainingFile {
 
     fn visit(&self, visit: &mut dyn FnMut(&[Descriptor])) -> Result<(), VocabularyError> {
         for &offset in &self.images {
-            let payload = self.log.read(offset)?;
+            let (_, payload) = self.log.read(offset)?;
             let descriptors = payload.get(LUMINANCE_BYTES..).unwrap_or_default().as_chunks().0;
             visit(&descriptors.iter().copied().map(Descriptor).collect::<Vec<Descriptor>>());
         }
@@ -239,7 +250,6 @@ mod tests {
         file.push(Some(&image(60, 5))).unwrap();
         assert_eq!(file.mean_luminance(), Some(30.0));
         assert_eq!(visited(&file), [image(10, 3), image(20, 0), image(60, 5)].map(|image| image.descriptors));
-        assert_eq!(std::fs::read(&path).unwrap(), whole);
     }
 
     #[test]
@@ -261,6 +271,8 @@ mod tests {
         let error = TrainingFile::open(&path, "photos").err().unwrap().to_string();
         assert!(error.contains("another process is writing it"), "{error}");
         drop(file);
+        // What was there when the file was opened again is on the medium, and its loss no power cut's.
+        TrainingFile::open(&path, "photos").unwrap().push(None).unwrap();
         let mut bytes = std::fs::read(&path).unwrap();
         bytes[50] ^= 1;
         std::fs::write(&path, bytes).unwrap();

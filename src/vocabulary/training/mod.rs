@@ -16,7 +16,6 @@ pub use corpus::{Corpus, CorpusImage, MemoryCorpus, TrainingFile};
 
 use std::path::Path;
 
-use self::word_statistics::WordStatistics;
 use super::format::{self, Counts};
 use super::{Vocabulary, VocabularyError, Weighting};
 use crate::feature::Descriptor;
@@ -135,7 +134,7 @@ pub fn train_on(
     let unweighted = Vocabulary::from_bytes(file, Path::new("the trained vocabulary"))?;
     let statistics = word_statistics::count(&unweighted, corpus, watch)?;
     Ok(Trained {
-        vocabulary: weighted(&unweighted, corpus, &statistics)?,
+        vocabulary: weighted(&unweighted, corpus, &statistics.inverse_document_frequencies())?,
         descriptors: corpus.descriptor_count(),
         sampled_descriptors,
         empty_words: statistics.empty_words(),
@@ -146,10 +145,11 @@ pub fn train_on(
 }
 
 /// The tree of `vocabulary` with the tf-idf weights that its words have in `corpus`: a vocabulary that came
-/// without weights, or from other surroundings, learns which words are rare here.
+/// without weights, or from other surroundings, learns which words are rare here. Words that no image shows weigh
+/// nothing from then on, as in DBoW2's training.
 ///
 /// # Errors
-/// If there is no descriptor at all, or the corpus cannot be read.
+/// If there is no descriptor at all, no word would weigh anything, or the corpus cannot be read.
 pub fn weigh_on(
     vocabulary: &Vocabulary,
     corpus: &dyn Corpus,
@@ -158,16 +158,20 @@ pub fn weigh_on(
     if corpus.descriptor_count() == 0 {
         return Err(VocabularyError::NothingToLearn);
     }
-    weighted(vocabulary, corpus, &word_statistics::count(vocabulary, corpus, watch)?)
+    let weights = word_statistics::count(vocabulary, corpus, watch)?.inverse_document_frequencies();
+    if weights.iter().all(|&weight| weight == 0.0) {
+        return Err(VocabularyError::NothingRare);
+    }
+    weighted(vocabulary, corpus, &weights)
 }
 
 fn weighted(
     vocabulary: &Vocabulary,
     corpus: &dyn Corpus,
-    statistics: &WordStatistics,
+    weights: &[f64],
 ) -> Result<Vocabulary, VocabularyError> {
     let images = u32::try_from(corpus.image_count()).unwrap_or(u32::MAX);
-    vocabulary.weighted((images, corpus.mean_luminance()), &statistics.inverse_document_frequencies())
+    vocabulary.weighted((images, corpus.mean_luminance()), weights)
 }
 
 #[cfg(test)]
@@ -258,6 +262,30 @@ mod tests {
         }
         let nothing = MemoryCorpus::from(&[][..]);
         assert!(matches!(weigh_on(&vocabulary, &nothing, &|_| {}), Err(VocabularyError::NothingToLearn)));
+    }
+
+    #[test]
+    fn a_word_that_no_image_shows_weighs_nothing_from_then_on() {
+        let [one, two, unseen] = [0, 15, 255].map(|byte| Descriptor([byte; 32]));
+        let vocabulary = train(&[one, two, unseen].map(|kind| vec![kind]), options(3, 1)).unwrap();
+        let others = [vec![one], vec![two]];
+        let weighed = weigh_on(&vocabulary, &MemoryCorpus::from(&others[..]), &|_| {}).unwrap();
+        let weights = |descriptor| {
+            let word = vocabulary.quantise(descriptor).word;
+            (vocabulary.weight(word), weighed.weight(word))
+        };
+        assert_eq!(weights(&one), (3.0_f64.ln(), 2.0_f64.ln()));
+        assert_eq!(weights(&unseen), (3.0_f64.ln(), 0.0));
+    }
+
+    #[test]
+    fn images_that_all_show_the_same_words_weigh_none_and_are_refused() {
+        let vocabulary = train(&images(20, 1), options(5, 3)).unwrap();
+        let alike = vec![images(1, 1).concat(); 2];
+        for images in [&alike[..1], &alike] {
+            let weighed = weigh_on(&vocabulary, &MemoryCorpus::from(images), &|_| {});
+            assert!(matches!(weighed, Err(VocabularyError::NothingRare)));
+        }
     }
 
     #[test]

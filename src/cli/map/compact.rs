@@ -1,0 +1,56 @@
+//! `loci map compact`: rewrites a map without what does not count any more.
+
+use std::path::PathBuf;
+
+use bytesize::ByteSize;
+use clap::Args;
+use loci::place_map::PlaceMap;
+use serde::Serialize;
+
+use crate::cli::console::{say, spinner};
+use crate::cli::settings::StreamSettings;
+use crate::cli::{Outcome, stream};
+
+/// Arguments of `loci map compact`.
+#[derive(Args)]
+#[command(after_help = "Example:\n  loci map compact maps/site\n\n\
+    Nothing is lost if it is interrupted. While it runs, the map takes up to twice its size.")]
+pub(in crate::cli) struct CompactArguments {
+    /// Folder of the map
+    map: PathBuf,
+    /// Most bytes that runs give the map's folder: it decides how long the journal's segments are [default: 4GiB]
+    #[arg(long, env = "LOCI_MAP_DISK", value_name = "SIZE")]
+    map_disk: Option<ByteSize>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    /// Of the journal.
+    bytes_before: u64,
+    bytes_after: u64,
+}
+
+/// Compacts the map and says what it gained.
+pub(super) fn run(arguments: &CompactArguments) -> anyhow::Result<Outcome> {
+    let settings = StreamSettings { map_disk: arguments.map_disk, ..StreamSettings::default() };
+    let mut map = PlaceMap::open_existing(&arguments.map, stream::map_options(&settings)?)?;
+    let before = map.summary();
+    let spinner = spinner("rewriting what counts");
+    let compacted = map.compact();
+    spinner.finish_and_clear();
+    compacted?;
+    let report = Report { bytes_before: before.journal_bytes, bytes_after: map.summary().journal_bytes };
+    let Report { bytes_before, bytes_after } = report;
+    say(&match arguments.json {
+        true => serde_json::to_string(&report)?,
+        false => format!("journal  {bytes_before} bytes before, {bytes_after} after"),
+    })?;
+    if before.torn_bytes == 0 {
+        return Ok(Outcome::Done);
+    }
+    eprintln!("loci: {} bytes of a torn last record were cut off", before.torn_bytes);
+    Ok(Outcome::Lost)
+}

@@ -1,0 +1,193 @@
+//! `loci map merge`: joins two maps into a third one, by recognising the keyframes of the one in the other.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use bytesize::ByteSize;
+use clap::Args;
+use loci::cnn::{CARD_FILE, ModelCard};
+use loci::place_map::{Durability, MapError, MapOptions, MapSummary, PlaceId, PlaceMap};
+use loci::recognition::{Join, Recogniser, RecognitionOptions};
+use loci::vocabulary::VocabularySet;
+use serde::Serialize;
+
+use crate::cli::console::{say, spinner};
+use crate::cli::settings::StreamSettings;
+use crate::cli::{Outcome, WrongArgument, assets, stream};
+
+/// Arguments of `loci map merge`.
+#[derive(Args)]
+#[command(after_help = "Examples:\n  \
+    loci map merge maps/robot1 maps/robot2 --dry-run\n  \
+    loci map merge maps/robot1 maps/robot2 --out maps/both\n\n\
+    Both maps stay as they are: to undo a merge, delete what it made. Places of A keep their numbers; place n of B \
+    becomes n plus the number of places of A, and that number goes on meaning it where it turned out to be one of A.")]
+pub(in crate::cli) struct MergeArguments {
+    /// The map whose places keep their numbers
+    a: PathBuf,
+    /// The map whose places are recognised in it
+    b: PathBuf,
+    /// Folder of the map that is made; it must not be there yet
+    #[arg(long, value_name = "DIR", required_unless_present = "dry_run")]
+    out: Option<PathBuf>,
+    /// Only list which places would be joined, and why
+    #[arg(long, conflicts_with = "out")]
+    dry_run: bool,
+    /// Visual vocabulary; given again, a set that is switched by light [default: vocab/default.lvoc]
+    #[arg(long, value_name = "FILE")]
+    vocab: Vec<PathBuf>,
+    /// Folder of the CNN whose descriptors the maps hold [default: models/efficientnet-lite0]
+    #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]
+    model: Option<PathBuf>,
+    /// Most bytes of the map that is made; what tells least is given up [default: 4GiB]
+    #[arg(long, env = "LOCI_MAP_DISK", value_name = "SIZE")]
+    map_disk: Option<ByteSize>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    joins: Vec<JoinLine>,
+    /// Of the map that was made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    places: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    experiences: Option<usize>,
+}
+
+#[derive(Serialize)]
+struct JoinLine {
+    /// In A.
+    place: u32,
+    /// In B.
+    other: u32,
+    matched_keyframes: usize,
+    keyframes: usize,
+    inliers: Option<u32>,
+    cosine: Option<f32>,
+}
+
+impl From<&Join> for JoinLine {
+    fn from(join: &Join) -> Self {
+        Self {
+            place: join.place.0,
+            other: join.other.0,
+            matched_keyframes: join.matched,
+            keyframes: join.keyframes,
+            inliers: join.inliers,
+            cosine: join.cosine,
+        }
+    }
+}
+
+/// Finds the joins, makes the map unless that is not wanted, and lists what was joined and why.
+pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
+    let settings = StreamSettings {
+        vocab: arguments.vocab.clone(),
+        model: arguments.model.clone(),
+        map_disk: arguments.map_disk,
+        ..StreamSettings::default()
+    }
+    .completed(None)?;
+    let options = MapOptions { durability: Durability::None, ..stream::map_options(&settings)? };
+    if let Some(out) = arguments.out.as_deref().filter(|out| out.exists()) {
+        return Err(WrongArgument(format!("--out {} is there already", out.display())).into());
+    }
+    let b = PlaceMap::open_read_only(&arguments.b)?;
+    let mut recogniser = recogniser(&arguments.a, &settings)?;
+    let spinner = spinner("recognising keyframes of the one in the other");
+    let joins = recogniser.joins(&b);
+    spinner.finish_and_clear();
+    let joins = joins?;
+    let made =
+        arguments.out.as_deref().map(|out| make(out, options, (recogniser.map(), &b), &joins)).transpose()?;
+    let report = Report {
+        joins: joins.iter().map(JoinLine::from).collect(),
+        places: made.as_ref().map(|made| made.places),
+        experiences: made.as_ref().map(|made| made.experiences),
+    };
+    if arguments.json {
+        say(&serde_json::to_string(&report)?)?;
+    } else {
+        report.joins.iter().try_for_each(|join| say(&sentence(join)))?;
+        say(&conclusion(&report, arguments))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// What recognises in the map at `folder`, all of whose places are searched. The CNN itself is not needed: the
+/// maps hold its descriptors.
+fn recogniser(folder: &Path, settings: &StreamSettings) -> anyhow::Result<Recogniser> {
+    let vocabularies = VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?;
+    let model = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
+    let card = ModelCard::read(&model.join(CARD_FILE))?;
+    let map = PlaceMap::open_read_only(folder)?;
+    let options =
+        RecognitionOptions { read_only: true, memory_bytes: usize::MAX, ..RecognitionOptions::default() };
+    Ok(Recogniser::new(Arc::new(vocabularies), map, Some(card), options)?)
+}
+
+/// Makes the joint map, whole or not at all.
+fn make(
+    out: &Path,
+    options: MapOptions,
+    (a, b): (&PlaceMap, &PlaceMap),
+    joins: &[Join],
+) -> anyhow::Result<MapSummary> {
+    let mut name = out.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".{}.part", std::process::id()));
+    let beside = out.with_file_name(name);
+    let made = fill(&beside, options, (a, b), joins).map_err(anyhow::Error::from).and_then(|summary| {
+        fs::rename(&beside, out)
+            .map_err(|error| anyhow::anyhow!("cannot make {}: {error}", out.display()))?;
+        Ok(summary)
+    });
+    if made.is_err() {
+        // The failure itself is what matters; a leftover would only add to it.
+        let _ = fs::remove_dir_all(&beside);
+    }
+    made
+}
+
+fn fill(
+    folder: &Path,
+    options: MapOptions,
+    (a, b): (&PlaceMap, &PlaceMap),
+    joins: &[Join],
+) -> Result<MapSummary, MapError> {
+    let mut map = PlaceMap::open(folder, options)?;
+    map.absorb(a)?;
+    let first = map.absorb(b)?;
+    for join in joins {
+        map.merge_places(PlaceId(first.0 + join.other.0), join.place)?;
+    }
+    map.close()?;
+    Ok(map.summary())
+}
+
+fn sentence(join: &JoinLine) -> String {
+    let mut text = format!(
+        "place {} of B is place {} of A: {} of {} keyframes recognised",
+        join.other, join.place, join.matched_keyframes, join.keyframes
+    );
+    if let Some(cosine) = join.cosine {
+        text += &format!(", by the CNN up to {cosine:.3}");
+    }
+    if let Some(inliers) = join.inliers {
+        text += &format!(", by geometry with up to {inliers} effective inliers");
+    }
+    text
+}
+
+fn conclusion(report: &Report, arguments: &MergeArguments) -> String {
+    let joins = report.joins.len();
+    match (&arguments.out, report.places, report.experiences) {
+        (Some(out), Some(places), Some(experiences)) => {
+            format!("{joins} places joined; {} has {places} places, {experiences} experiences", out.display())
+        }
+        _ => format!("{joins} places would be joined; nothing was written"),
+    }
+}

@@ -1,0 +1,98 @@
+//! `loci map rename`: names a place.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use clap::Args;
+use loci::place_map::{MapError, MapOptions, Place, PlaceId, PlaceMap};
+use serde::Serialize;
+
+use crate::cli::console::say;
+use crate::cli::{Outcome, WrongArgument};
+
+/// Longest name in characters.
+const MAX_NAME_CHARS: usize = 200;
+
+/// Arguments of `loci map rename`.
+#[derive(Args)]
+#[command(after_help = "Examples:\n  loci map rename maps/site 17 \"dock 3\"\n  \
+    loci map rename maps/site \"dock 3\" \"dock 4\"")]
+pub(in crate::cli) struct RenameArguments {
+    /// Folder of the map
+    map: PathBuf,
+    /// The place: its number, or the name that it has; the old number of a merged place will do
+    place: String,
+    /// Its new name: up to 200 characters, no number, not the name of another place
+    name: String,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    place: u32,
+    name: &'a str,
+    name_before: Option<String>,
+}
+
+/// Names the place.
+pub(super) fn run(arguments: &RenameArguments) -> anyhow::Result<Outcome> {
+    let name = arguments.name.as_str();
+    check_name(name)?;
+    let mut map = PlaceMap::open_existing(&arguments.map, MapOptions::default())?;
+    let Place { id, name: name_before, .. } = find_place(&map, &arguments.place)?.clone();
+    if let Some(other) = called(&map, name).into_iter().find(|&other| other != id) {
+        anyhow::bail!("place {} is called {name:?} already; rename that one first", other.0);
+    }
+    map.name_place(id, name)?;
+    map.sync()?;
+    let report = Report { place: id.0, name, name_before };
+    let before = report.name_before.as_ref().map(|before| format!(", before {before:?}")).unwrap_or_default();
+    say(&match arguments.json {
+        true => serde_json::to_string(&report)?,
+        false => format!("place {} is called {name:?}{before}", id.0),
+    })?;
+    Ok(Outcome::Done)
+}
+
+fn check_name(name: &str) -> Result<(), WrongArgument> {
+    let fault = if name.trim().is_empty() {
+        "it is empty"
+    } else if name.trim() != name {
+        "it begins or ends with a space"
+    } else if name.chars().count() > MAX_NAME_CHARS {
+        "it has more than 200 characters"
+    } else if name.chars().any(char::is_control) {
+        "it has line breaks or other control characters"
+    } else if name.parse::<u32>().is_ok() {
+        "it is a number, and would be taken for a place's number"
+    } else {
+        return Ok(());
+    };
+    Err(WrongArgument(format!("{name:?} cannot name a place: {fault}")))
+}
+
+/// The place that `text` means: a number, or else a name.
+fn find_place<'a>(map: &'a PlaceMap, text: &str) -> anyhow::Result<&'a Place> {
+    let number = text.parse().ok().map(PlaceId);
+    if let Some(place) = number.and_then(|number| map.place(number)) {
+        return Ok(place);
+    }
+    let called = called(map, text);
+    match (called.iter().copied().next().and_then(|id| map.place(id)), called.len(), number) {
+        (Some(place), 1, _) => Ok(place),
+        (_, 0, Some(PlaceId(place))) => Err(MapError::NoPlace { place }.into()),
+        (_, 0, None) => anyhow::bail!("no place in the map is called {text:?}"),
+        _ => {
+            let numbers: Vec<String> = called.iter().map(|id| id.0.to_string()).collect();
+            anyhow::bail!("places {} are called {text:?}; give the number", numbers.join(", "))
+        }
+    }
+}
+
+/// The places called `name`, each as what it is by now.
+fn called(map: &PlaceMap, name: &str) -> BTreeSet<PlaceId> {
+    let named = map.places().filter(|place| place.name.as_deref() == Some(name));
+    named.filter_map(|place| map.place(place.id)).map(|place| place.id).collect()
+}

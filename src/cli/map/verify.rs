@@ -1,0 +1,109 @@
+//! `loci map verify`: reads a map to its last byte and lists everything that is wrong with it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use indicatif::ProgressDrawTarget;
+use loci::place_map::{PlaceMap, Problem, SnapshotState, Verification};
+use serde::Serialize;
+
+use crate::cli::Outcome;
+use crate::cli::console::{progress_bar, say};
+
+/// Arguments of `loci map verify`.
+#[derive(Args)]
+#[command(after_help = "Examples:\n  loci map verify maps/site\n  loci map verify maps/site --json\n\n\
+    Exit codes: 0 sound, 3 sound up to a torn last record, 1 damaged. Nothing is changed;\n\
+    a run may write the map meanwhile.")]
+pub(in crate::cli) struct VerifyArguments {
+    /// Folder of the map
+    map: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    segments: usize,
+    records: u64,
+    bytes: u64,
+    snapshot: &'static str,
+    damaged: bool,
+    problems: Vec<ReportedProblem>,
+    /// Problems beyond those that are listed.
+    further_problems: u64,
+}
+
+#[derive(Serialize)]
+struct ReportedProblem {
+    file: String,
+    offset: Option<u64>,
+    reason: String,
+    torn_tail: bool,
+}
+
+/// Prints what was checked and what is wrong.
+pub(super) fn run(arguments: &VerifyArguments) -> anyhow::Result<Outcome> {
+    let bar = progress_bar(None, "bytes", ProgressDrawTarget::stderr());
+    let found = PlaceMap::verify(&arguments.map, &|done, total| {
+        bar.set_length(total);
+        bar.set_position(done);
+    })?;
+    bar.finish_and_clear();
+    if arguments.json {
+        say(&serde_json::to_string(&report(&found))?)?;
+    } else {
+        print(&found)?;
+    }
+    let map = arguments.map.display();
+    let count = found.problems.len() as u64 + found.further_problems;
+    anyhow::ensure!(!found.is_damaged(), "{map} is damaged, problems found: {count}; restore it from a copy");
+    if found.problems.is_empty() {
+        return Ok(Outcome::Done);
+    }
+    eprintln!("loci: the last record of {map} is torn; the next run with this map cuts it off");
+    Ok(Outcome::Lost)
+}
+
+fn print(found: &Verification) -> anyhow::Result<()> {
+    let Verification { segments, records, bytes, .. } = found;
+    say(&format!("checked   {segments} segments, {records} whole records, {bytes} bytes"))?;
+    let snapshot = match found.snapshot {
+        SnapshotState::Missing => "none; the journal has everything",
+        SnapshotState::Right => "says the same as the journal",
+        SnapshotState::Wrong => "wrong",
+        SnapshotState::NotCompared => "not compared, for the journal is damaged",
+    };
+    say(&format!("snapshot  {snapshot}"))?;
+    for problem in &found.problems {
+        say(&format!("problem   {problem}"))?;
+    }
+    if found.further_problems > 0 {
+        say(&format!("          and {} problems more", found.further_problems))?;
+    }
+    Ok(())
+}
+
+fn report(found: &Verification) -> Report {
+    let reported = |problem: &Problem| ReportedProblem {
+        file: problem.path.display().to_string(),
+        offset: problem.offset,
+        reason: problem.reason.clone(),
+        torn_tail: problem.is_torn_tail,
+    };
+    Report {
+        segments: found.segments,
+        records: found.records,
+        bytes: found.bytes,
+        snapshot: match found.snapshot {
+            SnapshotState::Missing => "missing",
+            SnapshotState::Right => "right",
+            SnapshotState::Wrong => "wrong",
+            SnapshotState::NotCompared => "not_compared",
+        },
+        damaged: found.is_damaged(),
+        problems: found.problems.iter().map(reported).collect(),
+        further_problems: found.further_problems,
+    }
+}

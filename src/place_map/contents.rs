@@ -1,0 +1,196 @@
+//! What a map knows at a moment: its places, its experiences, and where each one's record is.
+//!
+//! Journal and snapshot lead here by the same few steps, whether a record was just written or is read back.
+
+use std::collections::BTreeMap;
+
+use super::format::PlaceRecord;
+use super::{Experience, ExperienceId, Place, PlaceId};
+
+/// Places that a place remembers as next to it.
+pub(super) const MAX_NEIGHBOURS: usize = 8;
+
+/// Where a record is: a segment's number and the offset in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Location(u64);
+
+const OFFSET_BITS: u32 = 40;
+
+impl Location {
+    /// The record at `offset` bytes, less than 2^40, of a segment.
+    pub(super) fn new(segment: u32, offset: u64) -> Self {
+        Self(u64::from(segment) << OFFSET_BITS | offset & ((1 << OFFSET_BITS) - 1))
+    }
+
+    pub(super) fn from_bits(bits: u64) -> Self {
+        Self(bits)
+    }
+
+    pub(super) fn to_bits(self) -> u64 {
+        self.0
+    }
+
+    pub(super) fn segment(self) -> u32 {
+        (self.0 >> OFFSET_BITS) as u32
+    }
+
+    pub(super) fn offset(self) -> u64 {
+        self.0 & ((1 << OFFSET_BITS) - 1)
+    }
+}
+
+/// The contents of a map.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Contents {
+    /// Numbered without gaps once [settled](Self::settle).
+    pub(super) places: BTreeMap<PlaceId, Place>,
+    pub(super) experiences: BTreeMap<ExperienceId, Experience>,
+    pub(super) next_experience: u32,
+    /// Bytes of the records that count.
+    pub(super) live_bytes: u64,
+    /// Whether every place knows its experiences, and new ones are to be told.
+    is_settled: bool,
+}
+
+impl Contents {
+    /// A place's record at `location` that takes `bytes`; one of the same place before it does not count any more.
+    pub(super) fn put_place(&mut self, record: PlaceRecord, location: Location, bytes: u64) {
+        let id = PlaceId(record.place);
+        let before = self.places.remove(&id);
+        let was_merged_into = before.as_ref().and_then(|place| place.merged_into);
+        self.live_bytes += bytes;
+        self.live_bytes -= before.as_ref().map_or(0, |place| u64::from(place.record_bytes));
+        let merged_into = record.merged_into.map(PlaceId);
+        let place = Place {
+            id,
+            name: record.name,
+            merged_into,
+            neighbours: record.neighbours.into_iter().map(PlaceId).collect(),
+            experiences: before.map_or_else(Vec::new, |place| place.experiences),
+            location,
+            record_bytes: bytes as u32,
+        };
+        self.places.insert(id, place);
+        if self.is_settled && was_merged_into != merged_into {
+            let roots = self.places.keys().map(|&place| (place, self.resolve(place))).collect();
+            self.regroup(&roots);
+        }
+    }
+
+    /// An experience's record; one of the same experience before it does not count any more.
+    pub(super) fn put_experience(&mut self, experience: Experience) {
+        let (id, learnt_as) = (experience.id, experience.learnt_as);
+        self.next_experience = self.next_experience.max(id.0.saturating_add(1));
+        self.live_bytes += u64::from(experience.record_bytes);
+        if let Some(before) = self.experiences.insert(id, experience) {
+            self.live_bytes -= u64::from(before.record_bytes);
+            return;
+        }
+        if !self.is_settled {
+            return;
+        }
+        let place = self.resolve(learnt_as);
+        if let Some(Place { experiences, .. }) = self.places.get_mut(&place) {
+            let position = experiences.partition_point(|&other| other < id);
+            experiences.insert(position, id);
+        }
+    }
+
+    /// Gives an experience up; one that is not there already is.
+    pub(super) fn remove_experience(&mut self, id: ExperienceId) {
+        let Some(experience) = self.experiences.remove(&id) else { return };
+        self.live_bytes -= u64::from(experience.record_bytes);
+        if !self.is_settled {
+            return;
+        }
+        let place = self.resolve(experience.learnt_as);
+        if let Some(place) = self.places.get_mut(&place) {
+            place.experiences.retain(|&other| other != id);
+        }
+    }
+
+    /// Puts together what was read in any order: an old place's record may have been written again behind those of
+    /// its experiences.
+    ///
+    /// # Errors
+    /// If a place is missing that something speaks of, or places were merged in a circle.
+    pub(super) fn settle(&mut self) -> Result<(), String> {
+        let missing = (0..).map(PlaceId).zip(self.places.keys()).find(|(expected, id)| expected != *id);
+        let named = self.places.values().flat_map(|place| place.merged_into.iter().chain(&place.neighbours));
+        let learnt = self.experiences.values().map(|experience| &experience.learnt_as);
+        let unknown = named.chain(learnt).find(|&id| !self.places.contains_key(id)).copied();
+        if let Some(place) = missing.map(|(expected, _)| expected).or(unknown) {
+            return Err(format!("place {} is missing", place.0));
+        }
+        let roots = self.roots()?;
+        self.regroup(&roots);
+        self.is_settled = true;
+        Ok(())
+    }
+
+    /// What every place is by now, each step of every chain of merges walked once.
+    fn roots(&self) -> Result<BTreeMap<PlaceId, PlaceId>, String> {
+        let mut roots = BTreeMap::new();
+        for &place in self.places.keys() {
+            let mut chain = Vec::new();
+            let mut here = place;
+            let root = loop {
+                match (roots.get(&here), self.places.get(&here).and_then(|place| place.merged_into)) {
+                    (Some(&root), _) => break root,
+                    (None, None) => break here,
+                    (None, Some(_)) if chain.len() > self.places.len() => {
+                        return Err(format!("place {} was merged into itself", place.0));
+                    }
+                    (None, Some(next)) => {
+                        chain.push(here);
+                        here = next;
+                    }
+                }
+            };
+            roots.insert(here, root);
+            roots.extend(chain.into_iter().map(|link| (link, root)));
+        }
+        Ok(roots)
+    }
+
+    /// The place that `place` is by now.
+    pub(super) fn resolve(&self, place: PlaceId) -> PlaceId {
+        let mut here = place;
+        while let Some(next) = self.places.get(&here).and_then(|place| place.merged_into) {
+            here = next;
+        }
+        here
+    }
+
+    /// Puts every experience to the place that the one it was learnt as is by now.
+    fn regroup(&mut self, roots: &BTreeMap<PlaceId, PlaceId>) {
+        self.places.values_mut().for_each(|place| place.experiences.clear());
+        for experience in self.experiences.values() {
+            let place = roots.get(&experience.learnt_as).and_then(|root| self.places.get_mut(root));
+            place.into_iter().for_each(|place| place.experiences.push(experience.id));
+        }
+    }
+
+    /// Everything whose record is in `segment`, in the order of their offsets.
+    pub(super) fn facts_in(&self, segment: u32) -> Vec<Fact> {
+        let places = self.places.values().map(|place| (place.location, Fact::Place(place.id)));
+        let experiences = self.experiences.values().map(|e| (e.location, Fact::Experience(e.id)));
+        let mut facts: Vec<(Location, Fact)> =
+            places.chain(experiences).filter(|(location, _)| location.segment() == segment).collect();
+        facts.sort_unstable_by_key(|&(location, _)| location);
+        facts.into_iter().map(|(_, fact)| fact).collect()
+    }
+
+    /// The segments that something is in.
+    pub(super) fn segments(&self) -> impl Iterator<Item = u32> {
+        let places = self.places.values().map(|place| place.location.segment());
+        places.chain(self.experiences.values().map(|experience| experience.location.segment()))
+    }
+}
+
+/// What a record may be about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fact {
+    Place(PlaceId),
+    Experience(ExperienceId),
+}

@@ -1,0 +1,75 @@
+//! Why a map could not be opened or changed.
+
+use std::path::PathBuf;
+
+use crate::storage::StorageError;
+
+/// Why a map could not be opened or changed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MapError {
+    /// A file could not be read or written.
+    #[error(transparent)]
+    Storage(#[from] StorageError),
+    /// The folder holds no map.
+    #[error("no map in {}: `loci run SOURCE --map FOLDER` makes one", path.display())]
+    Missing {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// There is no room for another place.
+    #[error(
+        "the map is full: its {places} places take {bytes} of {budget_bytes} bytes; give it more with --map-disk"
+    )]
+    Full {
+        /// Number of places.
+        places: usize,
+        /// What they take.
+        bytes: u64,
+        /// What they may take.
+        budget_bytes: u64,
+    },
+    /// The map was opened for reading.
+    #[error("the map is read-only")]
+    ReadOnly,
+    /// There is no such place.
+    #[error("there is no place {place} in the map")]
+    NoPlace {
+        /// Its number.
+        place: u32,
+    },
+    /// There is no such experience.
+    #[error("there is no experience {experience} in the map")]
+    NoExperience {
+        /// Its number.
+        experience: u32,
+    },
+    /// Two places cannot be merged, or one cannot be taken apart.
+    #[error("place {place}: {reason}")]
+    Merge {
+        /// Its number.
+        place: u32,
+        /// Why not.
+        reason: &'static str,
+    },
+    /// The record could not be packed.
+    #[error("an experience cannot be stored: {reason}")]
+    Unstorable {
+        /// What does not fit.
+        reason: String,
+    },
+}
+
+impl MapError {
+    /// Whether the folder may be read and not written.
+    #[must_use]
+    pub fn is_unwritable(&self) -> bool {
+        use std::io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
+        match self {
+            Self::Storage(StorageError::Io { source, .. }) => {
+                matches!(source.kind(), PermissionDenied | ReadOnlyFilesystem)
+            }
+            _ => false,
+        }
+    }
+}

@@ -1,0 +1,364 @@
+//! The journal: numbered segments, of which the last one grows.
+//!
+//! A segment that is full is synced before the next one begins, so only the last can have a torn tail. When the
+//! folder grows beyond its budget, whatever still counts in the oldest segment is written again at the end, and
+//! the segment is deleted; so a record that something was given up is never deleted before the record of what it
+//! gave up.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::MapError;
+use super::contents::{Contents, Location};
+use super::format::{self, EXPERIENCE, ExperienceRecord, FEATURES, FeaturesRecord, KIND, THUMBNAIL};
+use super::replay::{apply, apply_version_1, version_1_experience};
+use super::version_1;
+use crate::feature::Features;
+use crate::storage::{
+    Envelope, Folder, LogSyncer, LoggedRecord, Reading, RecordLog, Recovery, StorageError, Tail, log_kind,
+};
+
+/// A point of the journal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Position {
+    pub(super) segment: u32,
+    pub(super) offset: u64,
+}
+
+enum Segment {
+    Log(RecordLog),
+    Version1(version_1::Journal),
+}
+
+impl Segment {
+    fn length_bytes(&self) -> u64 {
+        match self {
+            Self::Log(log) => log.length_bytes(),
+            Self::Version1(journal) => journal.length_bytes(),
+        }
+    }
+}
+
+/// The segments of a map's journal.
+pub(super) struct Journal {
+    folder: Arc<dyn Folder>,
+    segments: BTreeMap<u32, Segment>,
+    syncer: JournalSyncer,
+}
+
+/// Brings what was learnt onto the medium, from any thread.
+#[derive(Clone, Default)]
+pub struct JournalSyncer(Arc<Mutex<Active>>);
+
+/// The segment that grows, and why it cannot be synced any more.
+#[derive(Default)]
+struct Active {
+    log: Option<LogSyncer>,
+    failure: Option<StorageError>,
+}
+
+impl JournalSyncer {
+    /// Returns when everything learnt before the call would survive a power cut, or could not be made to: then
+    /// the map's next change fails and says why.
+    pub fn sync(&self) {
+        if let Err(failure) = self.try_sync() {
+            self.active().failure.get_or_insert(failure);
+        }
+    }
+
+    fn try_sync(&self) -> Result<(), StorageError> {
+        // Not under the lock: the writer must not wait for a slow medium to learn that nothing failed.
+        let log = self.active().log.clone();
+        log.map_or(Ok(()), |log| log.sync())
+    }
+
+    fn follow(&self, log: &RecordLog) {
+        self.active().log = Some(log.syncer());
+    }
+
+    fn active(&self) -> MutexGuard<'_, Active> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+pub(super) fn segment_name(number: u32) -> String {
+    format!("journal-{number:06}.loci")
+}
+
+fn segment_number(name: &str) -> Option<u32> {
+    let number = name.strip_prefix("journal-")?.strip_suffix(".loci")?.parse().ok()?;
+    (segment_name(number) == name).then_some(number)
+}
+
+/// Numbers of the segments in `folder`, rising.
+pub(super) fn segment_numbers(folder: &dyn Folder) -> Result<Vec<u32>, StorageError> {
+    let names = folder.names().map_err(StorageError::io("list", folder.path()))?;
+    let mut numbers: Vec<u32> = names.iter().filter_map(|name| segment_number(name)).collect();
+    numbers.sort_unstable();
+    Ok(numbers)
+}
+
+impl Journal {
+    /// Opens the journal in `folder` and brings `contents`, which stand for `position`, up to its end. With
+    /// `writable` a torn tail is cut off, and an empty folder gets a first segment.
+    ///
+    /// # Errors
+    /// If a segment is missing, damaged, newer than this program, or the medium fails.
+    pub(super) fn open(
+        folder: Arc<dyn Folder>,
+        writable: bool,
+        position: Position,
+        contents: &mut Contents,
+    ) -> Result<(Self, Recovery), MapError> {
+        let numbers = segment_numbers(folder.as_ref())?;
+        let mut journal = Self { folder, segments: BTreeMap::new(), syncer: JournalSyncer::default() };
+        journal.check_numbers(&numbers, position)?;
+        let mut recovery = Recovery::default();
+        for &number in &numbers {
+            let tail = match (numbers.last() == Some(&number), writable) {
+                (false, _) => Tail::Sealed,
+                (true, true) => Tail::Mended,
+                (true, false) => Tail::Ignored,
+            };
+            let found = journal.open_segment(number, tail, position, contents)?;
+            recovery.records += found.records;
+            recovery.torn_bytes += found.torn_bytes;
+        }
+        if let Some(missing) = contents.segments().find(|number| !journal.segments.contains_key(number)) {
+            return Err(journal.missing(missing).into());
+        }
+        let damaged = |reason| StorageError::Damaged { path: journal.folder.path().to_owned(), reason };
+        if contents.live_bytes > journal.total_bytes() {
+            let reason =
+                "its snapshot speaks of more than there is: delete the snapshot, the journal is enough";
+            return Err(damaged(reason.to_owned()).into());
+        }
+        contents.settle().map_err(damaged)?;
+        if writable {
+            match journal.segments.last_key_value() {
+                Some((_, Segment::Log(log))) => journal.syncer.follow(log),
+                Some((&last, Segment::Version1(_))) => journal.begin_segment(last + 1)?,
+                None => journal.begin_segment(1)?,
+            }
+        }
+        Ok((journal, recovery))
+    }
+
+    fn check_numbers(&self, numbers: &[u32], position: Position) -> Result<(), StorageError> {
+        let gap = numbers.windows(2).find(|pair| pair[1] != pair[0] + 1).map(|pair| pair[0] + 1);
+        let end = (position.segment > numbers.last().copied().unwrap_or(0)).then_some(position.segment);
+        gap.or(end).map_or(Ok(()), |number| Err(self.missing(number)))
+    }
+
+    fn open_segment(
+        &mut self,
+        number: u32,
+        tail: Tail,
+        position: Position,
+        contents: &mut Contents,
+    ) -> Result<Recovery, StorageError> {
+        let name = segment_name(number);
+        let path = self.folder.path().join(&name);
+        let file = self.folder.open(&name, tail == Tail::Mended).map_err(StorageError::io("open", &path))?;
+        let length = file.length_bytes().map_err(StorageError::io("read", &path))?;
+        let from = match number.cmp(&position.segment) {
+            std::cmp::Ordering::Less => length,
+            std::cmp::Ordering::Equal => position.offset,
+            std::cmp::Ordering::Greater => 0,
+        };
+        let is_version_1 = log_kind(file.as_ref(), &path)? == (KIND.magic, version_1::VERSION);
+        let (segment, recovery) = if is_version_1 {
+            let mut visit = |offset, length, record| {
+                apply_version_1(contents, Location::new(number, offset), length, record)
+            };
+            let (journal, mut recovery) = version_1::Journal::open(file, &path, from, &mut visit)?;
+            if tail == Tail::Sealed {
+                // A torn tail that was there when the map went on in the next segment is no news.
+                recovery.torn_bytes = 0;
+            }
+            (Segment::Version1(journal), recovery)
+        } else {
+            let mut visit = |record: LoggedRecord<'_>| {
+                let LoggedRecord { offset, envelope, payload, length_bytes } = record;
+                let Some(payload) = payload else { return Ok(()) };
+                apply(contents, Location::new(number, offset), (envelope, payload), length_bytes)
+            };
+            let wanted = |envelope| envelope != FEATURES && envelope != THUMBNAIL;
+            let reading = Reading { from, wanted, visit: &mut visit };
+            let (log, recovery) = RecordLog::open(file, (&KIND, &path), tail, reading)?;
+            (Segment::Log(log), recovery)
+        };
+        self.segments.insert(number, segment);
+        Ok(recovery)
+    }
+
+    /// Goes on in the segment `number`, once everything before it is on the medium.
+    fn begin_segment(&mut self, number: u32) -> Result<(), StorageError> {
+        self.sync()?;
+        let name = segment_name(number);
+        let path = self.folder.path().join(&name);
+        let file = self.folder.open(&name, true).map_err(StorageError::io("create", &path))?;
+        let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
+        let (log, _) = RecordLog::open(file, (&KIND, &path), Tail::Mended, reading)?;
+        self.folder.sync().map_err(StorageError::io("sync", self.folder.path()))?;
+        self.syncer.follow(&log);
+        self.segments.insert(number, Segment::Log(log));
+        Ok(())
+    }
+
+    /// Goes on in a new segment.
+    pub(super) fn rotate(&mut self) -> Result<(), StorageError> {
+        self.begin_segment(self.active_number() + 1)
+    }
+
+    /// Adds records in one write and answers where they are.
+    pub(super) fn append(&mut self, records: &[(Envelope, &[u8])]) -> Result<Vec<Location>, StorageError> {
+        let number = self.active_number();
+        match self.segments.get_mut(&number) {
+            Some(Segment::Log(log)) => {
+                let offsets = log.append(records)?;
+                Ok(offsets.into_iter().map(|offset| Location::new(number, offset)).collect())
+            }
+            _ => Err(self.missing(number)),
+        }
+    }
+
+    /// Returns when everything appended would survive a power cut.
+    pub(super) fn sync(&self) -> Result<(), StorageError> {
+        self.check()?;
+        self.syncer.try_sync()
+    }
+
+    /// Fails if a sync in the background did.
+    pub(super) fn check(&self) -> Result<(), StorageError> {
+        self.syncer.active().failure.take().map_or(Ok(()), Err)
+    }
+
+    pub(super) fn syncer(&self) -> JournalSyncer {
+        self.syncer.clone()
+    }
+
+    /// Number of the segment that grows; 0 if there is none.
+    pub(super) fn active_number(&self) -> u32 {
+        self.segments.last_key_value().map_or(0, |(&number, _)| number)
+    }
+
+    /// Number of the oldest segment; 0 if there is none.
+    pub(super) fn oldest_number(&self) -> u32 {
+        self.segments.first_key_value().map_or(0, |(&number, _)| number)
+    }
+
+    /// Where the next record will be.
+    pub(super) fn end(&self) -> Position {
+        let (&segment, offset) = match self.segments.last_key_value() {
+            Some((number, segment)) => (number, segment.length_bytes()),
+            None => return Position::default(),
+        };
+        Position { segment, offset }
+    }
+
+    /// Number of segments.
+    pub(super) fn segment_count(&self) -> usize {
+        self.segments.len()
+    }
+
+    /// Bytes of all segments.
+    pub(super) fn total_bytes(&self) -> u64 {
+        self.segments.values().map(Segment::length_bytes).sum()
+    }
+
+    /// Deletes the oldest segment, once everything that was written is on the medium.
+    pub(super) fn remove_oldest(&mut self) -> Result<(), StorageError> {
+        self.sync()?;
+        let Some((number, _)) = self.segments.pop_first() else { return Ok(()) };
+        let name = segment_name(number);
+        let path = self.folder.path().join(&name);
+        match self.folder.remove(&name) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(StorageError::io("delete", &path)(error));
+            }
+            _ => {}
+        }
+        self.folder.sync().map_err(StorageError::io("sync", self.folder.path()))
+    }
+
+    /// The experience whose record is at `location`.
+    pub(super) fn experience(&self, location: Location) -> Result<ExperienceRecord, StorageError> {
+        match self.segment(location)? {
+            Segment::Log(log) => {
+                let (envelope, payload) = log.read(location.offset())?;
+                match envelope {
+                    EXPERIENCE => format::decode(&payload).map_err(|reason| self.damaged(location, &reason)),
+                    _ => Err(self.damaged(location, "it is no experience")),
+                }
+            }
+            Segment::Version1(journal) => {
+                let (old, mean_luminance) = self.old_experience(journal, location)?;
+                version_1_experience(old, mean_luminance).map_err(|reason| self.damaged(location, &reason))
+            }
+        }
+    }
+
+    /// The features of the keyframe whose record is at `location`.
+    pub(super) fn features(&self, location: Location) -> Result<Features, StorageError> {
+        let unpacked = match self.segment(location)? {
+            Segment::Log(_) => {
+                let back =
+                    self.experience(location)?.keyframe.map_or(0, |keyframe| keyframe.features_back_bytes);
+                let payload = self.blob(location, back, FEATURES)?;
+                format::decode::<FeaturesRecord>(&payload).and_then(|record| record.unpacked())
+            }
+            Segment::Version1(journal) => self.old_experience(journal, location)?.0.features(),
+        };
+        unpacked.map_err(|reason| self.damaged(location, &reason))
+    }
+
+    /// The JPEG of the experience whose record is at `location`; nothing if it has none.
+    pub(super) fn thumbnail(&self, location: Location) -> Result<Vec<u8>, StorageError> {
+        match self.segment(location)? {
+            Segment::Log(_) => match self.experience(location)?.thumbnail_back_bytes {
+                0 => Ok(Vec::new()),
+                back => self.blob(location, back, THUMBNAIL),
+            },
+            Segment::Version1(journal) => Ok(self.old_experience(journal, location)?.0.thumbnail_jpeg),
+        }
+    }
+
+    fn blob(&self, location: Location, back: u32, expected: Envelope) -> Result<Vec<u8>, StorageError> {
+        let Segment::Log(log) = self.segment(location)? else {
+            return Err(self.damaged(location, "it has no parts"));
+        };
+        match location.offset().checked_sub(u64::from(back)).map(|offset| log.read(offset)).transpose()? {
+            Some((envelope, payload)) if envelope == expected => Ok(payload),
+            _ => Err(self.damaged(location, "it points to what is not its own")),
+        }
+    }
+
+    fn old_experience(
+        &self,
+        journal: &version_1::Journal,
+        location: Location,
+    ) -> Result<(version_1::ExperienceRecord, Option<f32>), StorageError> {
+        let record = journal.read(location.offset())?;
+        record.into_experience().ok_or_else(|| self.damaged(location, "it is no experience"))
+    }
+
+    fn segment(&self, location: Location) -> Result<&Segment, StorageError> {
+        self.segments.get(&location.segment()).ok_or_else(|| self.missing(location.segment()))
+    }
+
+    fn path_of(&self, number: u32) -> PathBuf {
+        self.folder.path().join(segment_name(number))
+    }
+
+    fn missing(&self, number: u32) -> StorageError {
+        StorageError::io("open", &self.path_of(number))(io::ErrorKind::NotFound.into())
+    }
+
+    fn damaged(&self, location: Location, reason: &str) -> StorageError {
+        let reason = format!("record at byte {}: {reason}", location.offset());
+        StorageError::Damaged { path: self.path_of(location.segment()), reason }
+    }
+}

@@ -1,0 +1,125 @@
+//! How safe a map is to be against power cuts, and how large it may grow.
+
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
+
+use serde::Deserialize;
+
+/// Smallest and largest segment of the journal in bytes.
+const SEGMENT_BYTES: (u64, u64) = (64 << 10, 64 << 20);
+/// Segments that the disk's budget is parted into, where that gives one of a sensible size.
+const SEGMENTS: u64 = 32;
+
+/// When what was learnt is brought onto the medium.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "String")]
+pub enum Durability {
+    /// Before the answer is given: a power cut costs nothing that was answered.
+    Every,
+    /// So long after it was learnt at the latest: a power cut costs what was learnt within that time.
+    Interval(Duration),
+    /// When the operating system likes: a power cut costs what it had not written, often half a minute.
+    None,
+}
+
+impl Default for Durability {
+    fn default() -> Self {
+        Self::Interval(Duration::from_millis(200))
+    }
+}
+
+impl fmt::Display for Durability {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Every => f.write_str("every"),
+            Self::Interval(interval) => write!(f, "interval={}ms", interval.as_millis()),
+            Self::None => f.write_str("none"),
+        }
+    }
+}
+
+impl FromStr for Durability {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("expected every, interval=200ms or none, got {text}");
+        match text {
+            "every" => Ok(Self::Every),
+            "none" => Ok(Self::None),
+            _ => {
+                let interval = text.strip_prefix("interval=").ok_or_else(wrong)?;
+                let (number, millis) = match interval.strip_suffix("ms") {
+                    Some(number) => (number, 1),
+                    None => (interval.strip_suffix('s').ok_or_else(wrong)?, 1000),
+                };
+                let number: u64 = number.parse().map_err(|_| wrong())?;
+                let millis = number.checked_mul(millis).filter(|millis| (1..=3_600_000).contains(millis));
+                Ok(Self::Interval(Duration::from_millis(millis.ok_or_else(wrong)?)))
+            }
+        }
+    }
+}
+
+impl TryFrom<String> for Durability {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+/// Settings of a map that is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MapOptions {
+    /// When what was learnt is brought onto the medium; default every 200 ms.
+    pub durability: Durability,
+    /// Most bytes of the map's folder; default 4 GiB.
+    pub disk_bytes: u64,
+    /// Most experiences a place; default 100.
+    pub place_experiences: usize,
+}
+
+impl Default for MapOptions {
+    fn default() -> Self {
+        Self { durability: Durability::default(), disk_bytes: 4 << 30, place_experiences: 100 }
+    }
+}
+
+impl MapOptions {
+    /// A map that keeps every experience: for evaluations, which end.
+    #[must_use]
+    pub fn unbounded() -> Self {
+        Self { disk_bytes: u64::MAX, place_experiences: usize::MAX, ..Self::default() }
+    }
+
+    /// Bytes after which the journal goes on in a new segment.
+    pub(super) fn segment_bytes(&self) -> u64 {
+        (self.disk_bytes / SEGMENTS).clamp(SEGMENT_BYTES.0, SEGMENT_BYTES.1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_durability_reads_back_as_it_is_written() {
+        for text in ["every", "none", "interval=200ms", "interval=1ms", "interval=3600000ms"] {
+            assert_eq!(text.parse::<Durability>().unwrap().to_string(), text);
+        }
+        assert_eq!("interval=2s".parse(), Ok(Durability::Interval(Duration::from_secs(2))));
+        for wrong in [
+            "",
+            "always",
+            "interval",
+            "interval=",
+            "interval=0ms",
+            "interval=-1s",
+            "interval=2h",
+            "interval=4000s",
+        ] {
+            assert!(wrong.parse::<Durability>().unwrap_err().ends_with(&format!("got {wrong}")));
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! What a map answers without being changed.
+
+use std::collections::BTreeSet;
+
+use super::contents::Location;
+use super::format::{self, ExperienceRecord};
+use super::map::PlaceMap;
+use super::{Experience, ExperienceId, MapError, Origin, Place, PlaceId, Traits};
+use crate::feature::Features;
+
+/// Lists and name of a place, roughly.
+const PLACE_HEAP_BYTES: usize = 64;
+
+/// What is in a map.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MapSummary {
+    /// Number of places; one that was merged into another one does not count.
+    pub places: usize,
+    /// Number of places with a name.
+    pub named_places: usize,
+    /// Number of places that were merged into another one.
+    pub merged_places: usize,
+    /// Number of experiences.
+    pub experiences: usize,
+    /// Number of those by which places are recognised.
+    pub keyframes: usize,
+    /// Bytes of the journal.
+    pub journal_bytes: u64,
+    /// Bytes of those records that count.
+    pub live_bytes: u64,
+    /// Bytes of a torn tail that opening found.
+    pub torn_bytes: u64,
+    /// Segments of the journal.
+    pub segments: usize,
+    /// Bytes of the snapshot; 0 if there is none that can be read.
+    pub snapshot_bytes: u64,
+}
+
+impl PlaceMap {
+    /// All places, oldest first, those included that were merged into another one.
+    pub fn places(&self) -> impl ExactSizeIterator<Item = &Place> {
+        self.contents.places.values()
+    }
+
+    /// The place that `id` is by now.
+    #[must_use]
+    pub fn place(&self, id: PlaceId) -> Option<&Place> {
+        self.contents.places.get(&self.contents.resolve(id))
+    }
+
+    /// All experiences, oldest first.
+    pub fn experiences(&self) -> impl Iterator<Item = &Experience> {
+        self.contents.experiences.values()
+    }
+
+    /// The experience numbered `id`.
+    #[must_use]
+    pub fn experience(&self, id: ExperienceId) -> Option<&Experience> {
+        self.contents.experiences.get(&id)
+    }
+
+    /// Number of experiences that there ever were.
+    #[must_use]
+    pub fn experiences_ever(&self) -> u32 {
+        self.contents.next_experience
+    }
+
+    /// The frame that an experience came from.
+    ///
+    /// # Errors
+    /// If there is no such experience or its record cannot be read.
+    pub fn origin(&self, id: ExperienceId) -> Result<Origin, MapError> {
+        let record = self.journal.experience(self.location(id)?)?;
+        let ExperienceRecord { frame_index, frame_name, capture_nanos, pose, .. } = record;
+        Ok(Origin { frame_index, frame_name, capture_nanos, pose: pose.map(format::unpack_pose) })
+    }
+
+    /// What a keyframe is found by; nothing of an experience that is none.
+    ///
+    /// # Errors
+    /// If there is no such experience or its record cannot be read.
+    pub fn traits(&self, id: ExperienceId) -> Result<Traits, MapError> {
+        let record = self.journal.experience(self.location(id)?)?;
+        let Some(keyframe) = record.keyframe else { return Ok(Traits::default()) };
+        let unstorable = |reason| MapError::Unstorable { reason };
+        let appearance = keyframe.unpacked_appearance().map_err(unstorable)?;
+        Ok(Traits { words: keyframe.unpacked_words(), appearance })
+    }
+
+    /// Hashes of the models whose descriptors it holds, sorted.
+    ///
+    /// # Errors
+    /// If a record cannot be read.
+    pub fn models(&self) -> Result<Vec<String>, MapError> {
+        let mut models = BTreeSet::new();
+        for keyframe in self.experiences().filter(|experience| experience.is_keyframe) {
+            models.extend(self.traits(keyframe.id)?.appearance.map(|appearance| appearance.model));
+        }
+        Ok(models.into_iter().collect())
+    }
+
+    /// The features of a keyframe.
+    ///
+    /// # Errors
+    /// If there is no such keyframe or its record cannot be read.
+    pub fn features(&self, id: ExperienceId) -> Result<Features, MapError> {
+        if self.is_keyframe(id) {
+            Ok(self.journal.features(self.location(id)?)?)
+        } else {
+            Err(MapError::NoExperience { experience: id.0 })
+        }
+    }
+
+    /// The thumbnail of an experience: the bytes of a JPEG, none if there is none.
+    ///
+    /// # Errors
+    /// If there is no such experience or its record cannot be read.
+    pub fn thumbnail_jpeg(&self, id: ExperienceId) -> Result<Vec<u8>, MapError> {
+        Ok(self.journal.thumbnail(self.location(id)?)?)
+    }
+
+    /// Bytes of memory that places and experiences take, roughly.
+    #[must_use]
+    pub fn memory_bytes(&self) -> usize {
+        let place = size_of::<(PlaceId, Place)>() + PLACE_HEAP_BYTES;
+        let experience = size_of::<(ExperienceId, Experience)>() + size_of::<ExperienceId>();
+        // The trees' nodes are two thirds full.
+        (self.contents.places.len() * place + self.contents.experiences.len() * experience) * 3 / 2
+    }
+
+    /// What is in the map.
+    #[must_use]
+    pub fn summary(&self) -> MapSummary {
+        let merged_places = self.places().filter(|place| place.merged_into.is_some()).count();
+        let is_named = |place: &&Place| place.merged_into.is_none() && place.name.is_some();
+        MapSummary {
+            places: self.places().len() - merged_places,
+            named_places: self.places().filter(is_named).count(),
+            merged_places,
+            experiences: self.contents.experiences.len(),
+            keyframes: self.experiences().filter(|experience| experience.is_keyframe).count(),
+            journal_bytes: self.journal.total_bytes(),
+            live_bytes: self.contents.live_bytes,
+            torn_bytes: self.recovery.torn_bytes,
+            segments: self.journal.segment_count(),
+            snapshot_bytes: self.upkeep.snapshot_bytes(),
+        }
+    }
+
+    pub(super) fn location(&self, id: ExperienceId) -> Result<Location, MapError> {
+        let experience = self.experience(id).ok_or(MapError::NoExperience { experience: id.0 })?;
+        Ok(experience.location)
+    }
+
+    pub(super) fn is_keyframe(&self, id: ExperienceId) -> bool {
+        self.experience(id).is_some_and(|experience| experience.is_keyframe)
+    }
+}

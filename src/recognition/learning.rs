@@ -1,0 +1,110 @@
+//! What the recogniser learns: which frames become keyframes, and how they become findable.
+
+use super::candidate::Evidence;
+use super::look::Look;
+use super::recogniser::Recogniser;
+use super::{Decision, Recognition};
+use crate::feature::Features;
+use crate::frame::Frame;
+use crate::kernel::difference_hash;
+use crate::place_map::{
+    Appearance, Experience, ExperienceId, Learnt, MapError, NewExperience, PlaceId, Traits,
+};
+use crate::vocabulary::Light;
+
+impl Recogniser {
+    /// Whether the frame shows its place as none of the keyframes does. The CNN judges; without one,
+    /// whatever BoW+HV did not match is new.
+    pub(super) fn is_new_look(&self, recognition: &Recognition) -> bool {
+        let Some(model) = &self.model else { return recognition.decision != Decision::Revisited };
+        let known_by_cnn = recognition.candidates.iter().any(|candidate| {
+            candidate.by == Evidence::Cnn
+                && Some(candidate.place) == recognition.place
+                && candidate.score >= model.decision.recognise_above
+        });
+        !known_by_cnn
+    }
+
+    /// Whether the place has no keyframe that may count as the condition yet: a place first seen by day is to
+    /// be known by night once it was seen by night.
+    pub(super) fn is_in_new_light(&self, place: PlaceId, light: Light) -> bool {
+        let vocabularies = self.keyframes.vocabularies();
+        if vocabularies.conditions().count() == 1 {
+            return false;
+        }
+        let experiences = self.map.place(place).into_iter().flat_map(|place| &place.experiences);
+        let keyframes = experiences.filter_map(|&id| self.map.experience(id)).filter(|e| e.is_keyframe);
+        let lights = keyframes.filter_map(|keyframe| keyframe.mean_luminance);
+        !lights.into_iter().any(|luminance| vocabularies.may_count_as(light.condition, luminance))
+    }
+
+    /// Adds the frame to `place`, or to a new one, and makes it findable if it is a keyframe.
+    pub(super) fn learn(
+        &mut self,
+        frame: &Frame,
+        look: &Look,
+        (place, is_keyframe): (Option<PlaceId>, bool),
+        thumbnail_jpeg: &[u8],
+    ) -> Result<Learnt, MapError> {
+        let features = is_keyframe.then(|| look.features.foremost(self.options.keyframe_features));
+        let keyframe = features.map(|features| {
+            let words = self.keyframes.words_of(&features);
+            (features, Traits { words, appearance: self.appearance(look) })
+        });
+        let new = NewExperience {
+            frame,
+            view: difference_hash(&frame.grey),
+            mean_luminance: look.light.mean_luminance,
+            thumbnail_jpeg,
+            keyframe: keyframe.as_ref().map(|(features, traits)| (features, traits)),
+        };
+        let learnt = self.map.learn(place, &new)?;
+        for &given_up in &learnt.given_up {
+            self.keyframes.remove(given_up);
+            self.appearances.remove(given_up);
+        }
+        if let (Some(experience), Some((features, traits))) = (learnt.experience, &keyframe) {
+            self.make_findable((learnt.place, experience), traits, Some(features))?;
+        }
+        Ok(learnt)
+    }
+
+    fn appearance(&self, look: &Look) -> Option<Appearance> {
+        let (model, descriptor) = self.model.as_ref().zip(look.appearance.as_ref())?;
+        Some(Appearance { model: model.sha256.clone(), descriptor: descriptor.into() })
+    }
+
+    /// Makes a keyframe of the map findable.
+    pub(super) fn index(&mut self, id: ExperienceId) -> Result<(), MapError> {
+        let Some(&Experience { learnt_as, .. }) = self.map.experience(id) else { return Ok(()) };
+        let Some(place) = self.map.place(learnt_as).map(|place| place.id) else { return Ok(()) };
+        let traits = self.map.traits(id)?;
+        self.make_findable((place, id), &traits, None)
+    }
+
+    /// The keyframe's features, if they are not given, are read only if the words of `traits` are not enough.
+    fn make_findable(
+        &mut self,
+        keyframe: (PlaceId, ExperienceId),
+        traits: &Traits,
+        features: Option<&Features>,
+    ) -> Result<(), MapError> {
+        if self.keyframes.is_satisfied_by(&traits.words) {
+            self.keyframes.add(keyframe, &traits.words);
+        } else {
+            let read = features.is_none().then(|| self.map.features(keyframe.1)).transpose()?;
+            if let Some(features) = features.or(read.as_ref()) {
+                self.keyframes.add_growing(keyframe, features);
+            }
+        }
+        if let (Some(model), Some(appearance)) = (&self.model, &traits.appearance) {
+            let (place, experience) = keyframe;
+            if appearance.model == model.sha256 {
+                self.appearances.add(place, experience, appearance.descriptor.clone());
+            } else {
+                self.foreign_descriptors += 1;
+            }
+        }
+        Ok(())
+    }
+}

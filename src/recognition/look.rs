@@ -1,0 +1,31 @@
+//! What was seen in a frame.
+
+use crate::cnn;
+use crate::feature::Features;
+use crate::vocabulary::{Light, Quantised, VocabularySet};
+
+/// What was seen in a frame.
+#[derive(Clone, Debug, Default)]
+pub struct Look {
+    /// ORB features.
+    pub features: Features,
+    /// Under which light.
+    pub light: Light,
+    /// What the vocabulary of that light says of each feature.
+    pub quantised: Vec<Quantised>,
+    /// CNN descriptor, if a CNN is running.
+    pub appearance: Option<cnn::Descriptor>,
+}
+
+impl Look {
+    /// The words and nodes of `features` seen in `light`, with the CNN's descriptor of the same frame.
+    #[must_use]
+    pub fn new(
+        features: Features,
+        (vocabularies, light): (&VocabularySet, Light),
+        appearance: Option<cnn::Descriptor>,
+    ) -> Self {
+        let quantised = vocabularies.vocabulary(light.condition).quantise_all(&features.descriptors);
+        Self { features, light, quantised, appearance }
+    }
+}

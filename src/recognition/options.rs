@@ -1,0 +1,37 @@
+//! Settings of the decision.
+
+use crate::verification::VerificationOptions;
+
+/// Settings of the decision.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecognitionOptions {
+    /// δ_ep: sampled frames that join a place unasked after its founding; default 5.
+    pub place_interval: u32,
+    /// Fewest effective inliers of a verified match; default 8, where the calibration
+    /// says that two of three are right.
+    pub min_inliers: u32,
+    /// Most features that a keyframe keeps, so that it stays below 12 KiB; default 256.
+    pub keyframe_features: usize,
+    /// Most bytes of memory for the map and the keyframes that are searched; default 256 MiB.
+    pub memory_bytes: usize,
+    /// Never change the map; frames that match nothing are `unknown`. Default false.
+    pub read_only: bool,
+    /// Learn words online where the vocabulary covers the keyframes badly; default false.
+    pub grow_vocabulary: bool,
+    /// Tolerances of the verification.
+    pub verification: VerificationOptions,
+}
+
+impl Default for RecognitionOptions {
+    fn default() -> Self {
+        Self {
+            place_interval: 5,
+            min_inliers: 8,
+            keyframe_features: 256,
+            memory_bytes: 256 << 20,
+            read_only: false,
+            grow_vocabulary: false,
+            verification: VerificationOptions::default(),
+        }
+    }
+}

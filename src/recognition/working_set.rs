@@ -1,0 +1,204 @@
+//! The working set: the places whose keyframes are searched, so many as memory has room for.
+//!
+//! The others wait on the disk. They come back when the robot approaches them: a place that is seen brings the
+//! places next to it along (Labbé & Michaud, *Appearance-based loop closure detection for online large-scale and
+//! long-term operation*, 2013). Those that were not seen for longest make room. A robot that recognises nothing may
+//! have been carried to where everything waits, so it looks through what waits, a few places with every frame.
+
+use std::collections::{BTreeSet, HashMap};
+
+use super::keyframe_index::KeyframeIndex;
+use super::recogniser::Recogniser;
+use crate::place_map::{ExperienceId, MapError, PlaceId};
+
+/// Steps along the way within which a place that waits is fetched.
+const FETCHED_STEPS: usize = 3;
+/// Places that are fetched for one frame at most.
+const FETCHED_AT_ONCE: usize = 8;
+/// Share of the memory that is in use after room was made, so that this happens now and then and not every frame.
+const ROOM_MADE: f64 = 0.9;
+/// Share of the memory that the keyframes may have even where places and experiences alone take more than the rest.
+const LEAST_SHARE: f64 = 0.25;
+
+/// The places of the working set in the order in which they were last seen.
+#[derive(Default)]
+pub(super) struct WorkingSet {
+    latest_turn: u64,
+    turns: HashMap<PlaceId, u64>,
+    by_turn: BTreeSet<(u64, PlaceId)>,
+    /// Where to look next when the robot is lost.
+    next_searched: u32,
+}
+
+impl WorkingSet {
+    pub(super) fn contains(&self, place: PlaceId) -> bool {
+        self.turns.contains_key(&place)
+    }
+
+    /// Number of places.
+    pub(super) fn len(&self) -> usize {
+        self.turns.len()
+    }
+
+    /// Puts `place` last in the order, as if it had just been seen.
+    fn touch(&mut self, place: PlaceId) {
+        self.latest_turn += 1;
+        if let Some(before) = self.turns.insert(place, self.latest_turn) {
+            self.by_turn.remove(&(before, place));
+        }
+        self.by_turn.insert((self.latest_turn, place));
+    }
+
+    /// Takes `place` out.
+    pub(super) fn remove(&mut self, place: PlaceId) {
+        if let Some(turn) = self.turns.remove(&place) {
+            self.by_turn.remove(&(turn, place));
+        }
+    }
+
+    /// Takes out the place that was not seen for longest, unless it is the only one.
+    fn pop_oldest(&mut self) -> Option<PlaceId> {
+        let (_, place) = (self.len() > 1).then(|| self.by_turn.pop_first()).flatten()?;
+        self.turns.remove(&place);
+        Some(place)
+    }
+}
+
+impl Recogniser {
+    /// Number of places whose keyframes are searched.
+    #[must_use]
+    pub fn working_places(&self) -> usize {
+        self.working_set.len()
+    }
+
+    /// Takes in the places that were seen last, as many as memory has room for.
+    pub(super) fn fill_working_set(&mut self) -> Result<(), MapError> {
+        let living = self.map.places().filter(|place| place.merged_into.is_none());
+        let mut places: Vec<(Option<ExperienceId>, PlaceId)> =
+            living.map(|place| (place.experiences.last().copied(), place.id)).collect();
+        places.sort_unstable();
+        let mut bytes = 0;
+        let has_room = |&&(_, place): &&(Option<ExperienceId>, PlaceId)| {
+            bytes += self.keyframes_of(place).len() * self.keyframe_bytes();
+            bytes <= self.budget_bytes()
+        };
+        let room = places.iter().rev().take_while(has_room).count().max(1).min(places.len());
+        let taken = &places[places.len() - room..];
+        // In the order in which they were learnt: so words grow as they did then.
+        let mut keyframes: Vec<ExperienceId> =
+            taken.iter().flat_map(|&(_, place)| self.keyframes_of(place)).collect();
+        keyframes.sort_unstable();
+        keyframes.into_iter().try_for_each(|keyframe| self.index(keyframe))?;
+        taken.iter().for_each(|&(_, place)| self.working_set.touch(place));
+        Ok(())
+    }
+
+    /// Bytes of memory of a keyframe that has as many features as it may.
+    fn keyframe_bytes(&self) -> usize {
+        let conditions = self.vocabularies().conditions().count();
+        KeyframeIndex::keyframe_bytes(conditions * self.options.keyframe_features)
+    }
+
+    /// The robot is at `place`: fetches what is near, and makes room by putting away what was not seen for longest.
+    pub(super) fn stay_near(&mut self, place: PlaceId) -> Result<(), MapError> {
+        let near = self.near(place);
+        let mut fetched = 0;
+        // The nearest comes last in turn, so that it is put away last.
+        for &place in near.iter().rev() {
+            if !self.working_set.contains(place) {
+                if fetched == FETCHED_AT_ONCE {
+                    continue;
+                }
+                self.take_in(place)?;
+                fetched += 1;
+            }
+            self.working_set.touch(place);
+        }
+        self.make_room();
+        Ok(())
+    }
+
+    /// The robot recognises nothing: fetches the next few of the places that wait.
+    pub(super) fn look_around(&mut self) -> Result<(), MapError> {
+        let count = self.map.places().len() as u32;
+        let mut fetched = 0;
+        // Once round at most: places that were merged or are there already cost next to nothing.
+        for _ in 0..count {
+            let next = self.working_set.next_searched % count;
+            self.working_set.next_searched = next + 1;
+            let Some(place) = self.map.place(PlaceId(next)).map(|place| place.id) else { continue };
+            if place.0 == next && !self.working_set.contains(place) {
+                self.take_in(place)?;
+                self.working_set.touch(place);
+                fetched += 1;
+            }
+            if fetched == FETCHED_AT_ONCE {
+                break;
+            }
+        }
+        self.make_room();
+        Ok(())
+    }
+
+    /// `place` and those within a few steps of it along the way, nearest first.
+    fn near(&self, place: PlaceId) -> Vec<PlaceId> {
+        let mut near: Vec<PlaceId> = self.map.place(place).map(|place| place.id).into_iter().collect();
+        let mut from = 0;
+        for _ in 0..FETCHED_STEPS {
+            let to = near.len();
+            for index in from..to {
+                let neighbours = self.map.place(near[index]).map_or(&[][..], |place| &place.neighbours);
+                let resolved = neighbours.iter().filter_map(|&id| self.map.place(id)).map(|place| place.id);
+                for neighbour in resolved.collect::<Vec<_>>() {
+                    if !near.contains(&neighbour) {
+                        near.push(neighbour);
+                    }
+                }
+            }
+            from = to;
+        }
+        near
+    }
+
+    fn make_room(&mut self) {
+        let budget_bytes = self.budget_bytes();
+        if self.index_bytes() <= budget_bytes {
+            return;
+        }
+        let enough_bytes = (ROOM_MADE * budget_bytes as f64) as usize;
+        while self.index_bytes() > enough_bytes {
+            let Some(place) = self.working_set.pop_oldest() else { break };
+            for keyframe in self.keyframes_of(place) {
+                self.keyframes.remove(keyframe);
+                self.appearances.remove(keyframe);
+            }
+        }
+        self.keyframes.sweep();
+    }
+
+    /// Makes the keyframes of `place` findable that are not.
+    fn take_in(&mut self, place: PlaceId) -> Result<(), MapError> {
+        let waiting =
+            self.keyframes_of(place).into_iter().filter(|&keyframe| !self.keyframes.contains(keyframe));
+        waiting.collect::<Vec<_>>().into_iter().try_for_each(|keyframe| self.index(keyframe))
+    }
+
+    pub(super) fn keyframes_of(&self, place: PlaceId) -> Vec<ExperienceId> {
+        let experiences = self.map.place(place).into_iter().flat_map(|place| &place.experiences);
+        let is_keyframe = |id: &ExperienceId| self.map.experience(*id).is_some_and(|e| e.is_keyframe);
+        experiences.copied().filter(is_keyframe).collect()
+    }
+
+    /// Bytes of memory that what is searched takes.
+    #[must_use]
+    pub fn index_bytes(&self) -> usize {
+        self.keyframes.memory_bytes() + self.appearances.memory_bytes()
+    }
+
+    /// What it may take: what places and experiences leave of the budget.
+    fn budget_bytes(&self) -> usize {
+        let budget_bytes = self.options.memory_bytes;
+        let least = (budget_bytes as f64 * LEAST_SHARE) as usize;
+        budget_bytes.saturating_sub(self.map.memory_bytes()).max(least)
+    }
+}

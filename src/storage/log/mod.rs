@@ -1,0 +1,391 @@
+//! An append-only log of records.
+//!
+//! The log begins with 16 bytes: magic (8), version (u32 little-endian), zero (4). Then come the records,
+//! each behind a header of 28 bytes (little-endian):
+//!
+//! | Offset | Bytes | Field |
+//! |---|---|---|
+//! | 0 | 4 | mark `B7 52 65 63` |
+//! | 4 | 1 | kind of the payload |
+//! | 5 | 1 | version of that kind's layout |
+//! | 6 | 2 | zero |
+//! | 8 | 4 | length of the payload, 1 to 16 MiB |
+//! | 12 | 4 | CRC-32 of the payload |
+//! | 16 | 8 | d: so many bytes of this log were on the medium for certain when the record was written |
+//! | 24 | 4 | CRC-32 of the 24 bytes before |
+//!
+//! A power cut may tear whatever was written since the last sync, in any order. So the first bad record ends the
+//! log, unless a record behind it testifies, by its d, that it had been on the medium: then it is damage,
+//! and never cut off in silence.
+
+mod survey;
+
+pub use survey::Surveyed;
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use super::record::{Envelope, HEADER_BYTES, RecordHeader};
+use super::{AppendFile, FileKind, StorageError};
+
+/// Bytes of a log before its first record.
+pub const LOG_HEADER_BYTES: u64 = 16;
+const RECORD_HEADER_BYTES: u64 = HEADER_BYTES as u64;
+
+/// What may be at the end of a log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tail {
+    /// Whatever a power cut left; it is cut off, and the log goes on.
+    Mended,
+    /// Whatever a power cut left, or what a writer is just about to write; it is left alone.
+    Ignored,
+    /// Whole records alone: the log was finished. Records that the reader does not want are not looked at.
+    Sealed,
+}
+
+/// A record of a log that is being opened.
+#[derive(Clone, Copy, Debug)]
+pub struct LoggedRecord<'a> {
+    /// Where it is, in bytes.
+    pub offset: u64,
+    /// What its payload is.
+    pub envelope: Envelope,
+    /// The payload; `None` for one that was not wanted.
+    pub payload: Option<&'a [u8]>,
+    /// Bytes that it takes, its header included.
+    pub length_bytes: u64,
+}
+
+/// What to hand out of a log that is being opened.
+pub struct Reading<'a> {
+    /// Where to begin: a record's offset, or 0.
+    pub from: u64,
+    /// Whether the payload is wanted.
+    pub wanted: fn(Envelope) -> bool,
+    /// Hears of every record; a complaint is damage.
+    pub visit: &'a mut dyn FnMut(LoggedRecord<'_>) -> Result<(), String>,
+}
+
+/// What opening a log found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Recovery {
+    /// Whole records.
+    pub records: u64,
+    /// Bytes of a torn tail that were cut off (or are ignored, when reading only).
+    pub torn_bytes: u64,
+}
+
+/// A log's bytes, as its writer and those who sync it share them.
+struct Shared {
+    file: Arc<dyn AppendFile>,
+    path: PathBuf,
+    /// Bytes up to the end of the last whole record.
+    end: AtomicU64,
+    /// Bytes that are on the medium for certain.
+    durable: AtomicU64,
+    /// A sync failed. The system may have thrown away what it could not write, and a further one succeed.
+    has_failed: AtomicBool,
+}
+
+impl Shared {
+    fn sync(&self) -> Result<(), StorageError> {
+        let end = self.end.load(Ordering::Acquire);
+        if self.durable.load(Ordering::Acquire) >= end {
+            return Ok(());
+        }
+        let synced = match self.has_failed.load(Ordering::Acquire) {
+            true => Err(io::Error::other("an earlier sync failed, what it lost is unknown")),
+            false => self.file.sync(),
+        };
+        self.has_failed.fetch_or(synced.is_err(), Ordering::AcqRel);
+        synced.map_err(StorageError::io("sync", &self.path))?;
+        self.durable.fetch_max(end, Ordering::Release);
+        Ok(())
+    }
+}
+
+/// Brings what was appended to a log onto its medium, from any thread.
+#[derive(Clone)]
+pub struct LogSyncer(Arc<Shared>);
+
+impl LogSyncer {
+    /// Returns when every record appended before the call would survive a power cut.
+    ///
+    /// # Errors
+    /// If the medium fails. What it lost then is unknown, so the log must not be written any more.
+    pub fn sync(&self) -> Result<(), StorageError> {
+        self.0.sync()
+    }
+}
+
+/// An append-only log of checksummed records.
+pub struct RecordLog {
+    shared: Arc<Shared>,
+    /// A half-written record could not be cut off.
+    is_broken: bool,
+}
+
+impl RecordLog {
+    /// Opens a log and hands its records to `reading`. An empty file becomes a new log if it may be mended.
+    /// `path` only serves messages.
+    ///
+    /// # Errors
+    /// If the log is of another kind or version, is damaged, or the medium fails.
+    pub fn open(
+        file: Arc<dyn AppendFile>,
+        (kind, path): (&FileKind, &Path),
+        tail: Tail,
+        reading: Reading<'_>,
+    ) -> Result<(Self, Recovery), StorageError> {
+        let length = file.length_bytes().map_err(StorageError::io("read", path))?;
+        let log = Self::over(file, path);
+        let mut recovery = Recovery::default();
+        if length > LOG_HEADER_BYTES || !log.is_torn_at_birth(kind, length)? {
+            log.check_header(kind)?;
+            recovery = log.replay(length, tail, reading)?;
+        } else {
+            log.begin(kind, tail)?;
+        }
+        if tail == Tail::Mended {
+            log.mend(recovery)?;
+        }
+        Ok((log, recovery))
+    }
+
+    /// A log whose file was not looked at yet.
+    fn over(file: Arc<dyn AppendFile>, path: &Path) -> Self {
+        let shared = Shared {
+            file,
+            path: path.to_owned(),
+            end: AtomicU64::new(LOG_HEADER_BYTES),
+            durable: AtomicU64::new(0),
+            has_failed: AtomicBool::new(false),
+        };
+        Self { shared: Arc::new(shared), is_broken: false }
+    }
+
+    /// Adds records, all in one write, and answers their offsets. They survive a power cut once
+    /// [`sync`](Self::sync) returned.
+    ///
+    /// # Errors
+    /// If a payload is empty or longer than 16 MiB or the medium fails; the log then ends where it did.
+    pub fn append(&mut self, records: &[(Envelope, &[u8])]) -> Result<Vec<u64>, StorageError> {
+        let error = |source| StorageError::Io { action: "append to", path: self.shared.path.clone(), source };
+        if self.is_broken {
+            return Err(error(io::Error::other("a half-written record is at its end")));
+        }
+        let end = self.shared.end.load(Ordering::Acquire);
+        let durable = self.shared.durable.load(Ordering::Acquire);
+        let mut framed = Vec::new();
+        let mut offsets = Vec::with_capacity(records.len());
+        for &(envelope, payload) in records {
+            offsets.push(end + framed.len() as u64);
+            let Some(header) = RecordHeader::new(envelope, payload, durable) else {
+                let length = payload.len();
+                return Err(error(io::Error::other(format!("a record must not have {length} bytes"))));
+            };
+            framed.extend(header.to_bytes());
+            framed.extend_from_slice(payload);
+        }
+        if let Err(source) = self.shared.file.append(&framed) {
+            let error = error(source);
+            // A half-written record must not end up in the middle of the log, nor come back after a power cut.
+            let file = &self.shared.file;
+            self.is_broken = file.truncate(end).and_then(|()| file.sync()).is_err();
+            return Err(error);
+        }
+        self.shared.end.store(end + framed.len() as u64, Ordering::Release);
+        Ok(offsets)
+    }
+
+    /// Bytes that a record with `payload` takes.
+    #[must_use]
+    pub fn framed_bytes(payload: &[u8]) -> u64 {
+        RECORD_HEADER_BYTES + payload.len() as u64
+    }
+
+    /// The record at `offset`.
+    ///
+    /// # Errors
+    /// If there is no good record or the medium fails.
+    pub fn read(&self, offset: u64) -> Result<(Envelope, Vec<u8>), StorageError> {
+        let mut payload = Vec::new();
+        match self.read_record(offset, self.length_bytes(), Some(&mut payload))? {
+            Some(header) => Ok((header.envelope, payload)),
+            None => Err(self.damaged(offset)),
+        }
+    }
+
+    /// Returns when every appended record would survive a power cut.
+    ///
+    /// # Errors
+    /// If the medium fails. What it lost then is unknown, so the log must not be written any more.
+    pub fn sync(&self) -> Result<(), StorageError> {
+        self.shared.sync()
+    }
+
+    /// What can sync the log from another thread.
+    #[must_use]
+    pub fn syncer(&self) -> LogSyncer {
+        LogSyncer(Arc::clone(&self.shared))
+    }
+
+    /// Length of the log in bytes.
+    #[must_use]
+    pub fn length_bytes(&self) -> u64 {
+        self.shared.end.load(Ordering::Acquire)
+    }
+
+    /// Whether a log of `length` bytes, no more than its header has, is new or was torn while it was made.
+    fn is_torn_at_birth(&self, kind: &FileKind, length: u64) -> Result<bool, StorageError> {
+        let mut there = vec![0; length as usize];
+        self.shared.file.read_at(0, &mut there).map_err(StorageError::io("read", &self.shared.path))?;
+        let header = log_header(kind);
+        Ok(there != header && there.iter().zip(header).all(|(&byte, whole)| byte == whole || byte == 0))
+    }
+
+    fn begin(&self, kind: &FileKind, tail: Tail) -> Result<(), StorageError> {
+        let file = &self.shared.file;
+        let begin = || file.truncate(0).and_then(|()| file.append(&log_header(kind)));
+        match tail {
+            Tail::Sealed => Err(self.damaged(0)),
+            Tail::Ignored => Ok(()),
+            Tail::Mended => begin().map_err(StorageError::io("create", &self.shared.path)),
+        }
+    }
+
+    fn check_header(&self, kind: &FileKind) -> Result<(), StorageError> {
+        let (path, name) = (self.shared.path.clone(), kind.name);
+        let (magic, got) = log_kind(self.shared.file.as_ref(), &path)?;
+        if magic != kind.magic {
+            let reason = "it does not begin as one".to_owned();
+            return Err(StorageError::WrongKind { path, kind: name, reason });
+        }
+        match got.cmp(&kind.version) {
+            std::cmp::Ordering::Equal => Ok(()),
+            std::cmp::Ordering::Greater => {
+                Err(StorageError::TooNew { path, kind: name, got, newest: kind.version })
+            }
+            std::cmp::Ordering::Less => {
+                Err(StorageError::TooOld { path, kind: name, got, oldest: kind.version })
+            }
+        }
+    }
+
+    fn replay(&self, length: u64, tail: Tail, reading: Reading<'_>) -> Result<Recovery, StorageError> {
+        let Reading { from, wanted, visit } = reading;
+        let mut recovery = Recovery::default();
+        let mut offset = from.max(LOG_HEADER_BYTES);
+        if offset > length {
+            let reason = format!("it ends after {length} bytes, but had {offset}");
+            return Err(StorageError::Damaged { path: self.shared.path.clone(), reason });
+        }
+        let mut payload = Vec::new();
+        while offset < length {
+            let is_lazy = |envelope| tail == Tail::Sealed && !wanted(envelope);
+            let Some((header, is_read)) = self.read_wanted(offset, length, &mut payload, is_lazy)? else {
+                if tail == Tail::Sealed || self.was_durable(offset, length)? {
+                    return Err(self.damaged(offset));
+                }
+                recovery.torn_bytes = length - offset;
+                break;
+            };
+            let length_bytes = RECORD_HEADER_BYTES + u64::from(header.payload_bytes);
+            let payload = (is_read && wanted(header.envelope)).then_some(payload.as_slice());
+            visit(LoggedRecord { offset, envelope: header.envelope, payload, length_bytes }).map_err(
+                |reason| {
+                    let reason = format!("record at byte {offset}: {reason}");
+                    StorageError::Damaged { path: self.shared.path.clone(), reason }
+                },
+            )?;
+            recovery.records += 1;
+            offset += length_bytes;
+        }
+        self.shared.end.store(offset, Ordering::Release);
+        Ok(recovery)
+    }
+
+    /// Cuts a torn tail off, and brings everything before it onto the medium: nobody knows whether it is.
+    fn mend(&self, recovery: Recovery) -> Result<(), StorageError> {
+        if recovery.torn_bytes > 0 {
+            let repair = StorageError::io("repair", &self.shared.path);
+            self.shared.file.truncate(self.length_bytes()).map_err(repair)?;
+        }
+        self.sync()
+    }
+
+    /// The header of the record at `offset`, and whether its payload was read; `None` if it is bad.
+    fn read_wanted(
+        &self,
+        offset: u64,
+        length: u64,
+        payload: &mut Vec<u8>,
+        is_lazy: impl Fn(Envelope) -> bool,
+    ) -> Result<Option<(RecordHeader, bool)>, StorageError> {
+        let Some(header) = self.read_record(offset, length, None)? else { return Ok(None) };
+        if is_lazy(header.envelope) {
+            return Ok(Some((header, false)));
+        }
+        Ok(self.read_record(offset, length, Some(payload))?.map(|header| (header, true)))
+    }
+
+    /// The header of the record at `offset`, whose payload, if asked for, is read and checked; `None` if it is
+    /// bad or reaches beyond `length`.
+    fn read_record(
+        &self,
+        offset: u64,
+        length: u64,
+        payload: Option<&mut Vec<u8>>,
+    ) -> Result<Option<RecordHeader>, StorageError> {
+        let read = |at, buffer: &mut [u8]| {
+            self.shared.file.read_at(at, buffer).map_err(StorageError::io("read", &self.shared.path))
+        };
+        let left = length.saturating_sub(offset);
+        if left <= RECORD_HEADER_BYTES {
+            return Ok(None);
+        }
+        let mut bytes = [0; HEADER_BYTES];
+        read(offset, &mut bytes)?;
+        let Some(header) = RecordHeader::from_bytes(&bytes) else { return Ok(None) };
+        if u64::from(header.payload_bytes) > left - RECORD_HEADER_BYTES {
+            return Ok(None);
+        }
+        if let Some(payload) = payload {
+            payload.resize(header.payload_bytes as usize, 0);
+            read(offset + RECORD_HEADER_BYTES, payload)?;
+            if !header.fits(payload) {
+                return Ok(None);
+            }
+        }
+        Ok(Some(header))
+    }
+
+    fn damaged(&self, offset: u64) -> StorageError {
+        let reason = format!("bad record at byte {offset}");
+        StorageError::Damaged { path: self.shared.path.clone(), reason }
+    }
+}
+
+fn log_header(kind: &FileKind) -> [u8; LOG_HEADER_BYTES as usize] {
+    let mut header = [0; LOG_HEADER_BYTES as usize];
+    header[..8].copy_from_slice(&kind.magic);
+    header[8..12].copy_from_slice(&kind.version.to_le_bytes());
+    header
+}
+
+/// Magic and version of a log, zeros where it is shorter.
+///
+/// # Errors
+/// If the medium fails.
+pub fn log_kind(file: &dyn AppendFile, path: &Path) -> Result<([u8; 8], u32), StorageError> {
+    let mut header = [0; LOG_HEADER_BYTES as usize];
+    let there = file.length_bytes().map_err(StorageError::io("read", path))?.min(LOG_HEADER_BYTES) as usize;
+    file.read_at(0, &mut header[..there]).map_err(StorageError::io("read", path))?;
+    let [magic @ .., v0, v1, v2, v3, _, _, _, _] = header;
+    Ok((magic, u32::from_le_bytes([v0, v1, v2, v3])))
+}
+
+#[cfg(test)]
+mod tests;

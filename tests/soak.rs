@@ -1,0 +1,183 @@
+//! A robot that drives for ever, in a process of its own: `make soak`. Its memory must stay flat, its map within its
+//! budget, and it must go on recognising.
+//!
+//! Frames are not rendered but made up as features: a world of places along a ring, each with features of its own,
+//! of which every look shows most, with some bits flipped, in changing light. Now and then the robot is carried
+//! elsewhere, and every place changes its looks over time, so that there is always something new to learn and
+//! something old to give up.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use loci::feature::{Descriptor, Features, Keypoint};
+use loci::frame::Frame;
+use loci::geometry::Point;
+use loci::place_map::{Durability, MapOptions, PlaceMap};
+use loci::raster::{GreyImage, RgbImage};
+use loci::recognition::{Decision, Look, Recogniser, RecognitionOptions};
+use loci::vocabulary::{Light, VocabularySet};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64;
+
+const DEFAULT_FRAMES: u64 = 1_000_000;
+const PLACES: u64 = 300;
+const FRAMES_A_PLACE: u64 = 4;
+const FEATURES: u64 = 150;
+/// Of a hundred features of a place, so many differ from one look of it to the next.
+const RENEWED_PERCENT: u64 = 10;
+const FRAMES_A_LOOK: u64 = 100_000;
+/// Frames after which the robot is carried elsewhere.
+const CARRIED_EVERY: u64 = 5_000;
+const DISK_BYTES: u64 = 64 << 20;
+const MEMORY_BYTES: usize = 3 << 20;
+/// Samples of memory that the report has.
+const SAMPLES: u64 = 20;
+
+/// The feature numbered `index` of a place, as it looks in that period of time.
+fn feature(place: u64, index: u64, period: u64) -> (Point, Descriptor) {
+    let is_renewed = (index * 7 + place) % 100 < RENEWED_PERCENT;
+    let seed = place << 32 | index << 16 | if is_renewed { period } else { 0 };
+    let mut random = Pcg64::seed_from_u64(seed);
+    let point = Point { x: random.random_range(0.0..600.0), y: random.random_range(0.0..440.0) };
+    (point, Descriptor(random.random()))
+}
+
+/// A look at a place: most of its features, a little moved, with a sixteenth of their bits flipped.
+fn features(place: u64, period: u64, random: &mut Pcg64) -> Features {
+    let (dx, dy) = (random.random_range(-20.0..20.0), random.random_range(-20.0..20.0));
+    let mut features = Features { width_px: 640, height_px: 480, ..Features::default() };
+    for index in 0..FEATURES {
+        let (point, Descriptor(mut bits)) = feature(place, index, period);
+        if random.random_ratio(1, 10) {
+            continue;
+        }
+        for byte in &mut bits {
+            *byte ^=
+                random.random::<u8>() & random.random::<u8>() & random.random::<u8>() & random.random::<u8>();
+        }
+        let point = Point { x: (point.x + dx).clamp(0.0, 640.0), y: (point.y + dy).clamp(0.0, 480.0) };
+        features.keypoints.push(Keypoint { point, scale: 1.0, angle_radians: 0.0, response: 20 });
+        features.descriptors.push(Descriptor(bits));
+    }
+    features
+}
+
+fn frame(index: u64, random: &mut Pcg64) -> Frame {
+    let pixels: Vec<u8> = (0..90 * 80).map(|_| random.random()).collect();
+    Frame {
+        index,
+        capture_nanos: index as i64 * 100_000_000,
+        name: format!("{index}"),
+        colour: RgbImage::new(1, 1),
+        grey: GreyImage::from_pixels(90, 80, pixels).unwrap(),
+        jpeg: None,
+        pose: None,
+        true_place: None,
+    }
+}
+
+/// Memory of this process in KiB that no file backs.
+fn private_kib() -> f64 {
+    let rollup = std::fs::read_to_string("/proc/self/smaps_rollup").unwrap();
+    let private = rollup.lines().find_map(|line| line.strip_prefix("Private_Dirty:")).unwrap();
+    private.split_whitespace().next().unwrap().parse().unwrap()
+}
+
+/// Slope of a line through the points, by least squares.
+fn slope(points: &[(f64, f64)]) -> f64 {
+    let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / points.len() as f64;
+    let (x, y) = (mean(|point| point.0), mean(|point| point.1));
+    let covariance: f64 = points.iter().map(|point| (point.0 - x) * (point.1 - y)).sum();
+    covariance / points.iter().map(|point| (point.0 - x).powi(2)).sum::<f64>()
+}
+
+/// The robot, and what it met since the last sample.
+struct Soak {
+    folder: tempfile::TempDir,
+    vocabularies: Arc<VocabularySet>,
+    recogniser: Recogniser,
+    random: Pcg64,
+    position: u64,
+    recognised: u64,
+}
+
+impl Soak {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let (durability, disk_bytes) = (Durability::None, DISK_BYTES);
+        let options = MapOptions { durability, disk_bytes, ..MapOptions::default() };
+        let map = PlaceMap::open(folder.path(), options).unwrap();
+        let vocabulary = concat!(env!("CARGO_MANIFEST_DIR"), "/vocab/default.lvoc");
+        let vocabularies = Arc::new(VocabularySet::open(&[vocabulary.into()]).unwrap());
+        let options = RecognitionOptions { memory_bytes: MEMORY_BYTES, ..RecognitionOptions::default() };
+        let recogniser = Recogniser::new(Arc::clone(&vocabularies), map, None, options).unwrap();
+        Self { folder, vocabularies, recogniser, random: Pcg64::seed_from_u64(1), position: 0, recognised: 0 }
+    }
+
+    /// Shows the robot what is at its next position.
+    fn drive(&mut self, index: u64) {
+        let random = &mut self.random;
+        self.position = match index % CARRIED_EVERY {
+            0 => random.random_range(0..PLACES * FRAMES_A_PLACE),
+            _ => (self.position + 1) % (PLACES * FRAMES_A_PLACE),
+        };
+        let mean_luminance = random.random_range(40.0..200.0);
+        let light = Light { mean_luminance, ..Light::default() };
+        let features = features(self.position / FRAMES_A_PLACE, index / FRAMES_A_LOOK, random);
+        let look = Look::new(features, (&self.vocabularies, light), None);
+        let frame = frame(index, random);
+        let recognition = self.recogniser.recognise(&frame, &look, || vec![0x5a; 2_000]);
+        self.recognised += u64::from(recognition.decision == Decision::Revisited);
+        assert!(self.recogniser.take_map_failure().is_none(), "frame {index}");
+    }
+
+    fn folder_bytes(&self) -> u64 {
+        let files = std::fs::read_dir(self.folder.path()).unwrap();
+        files.map(|file| file.unwrap().metadata().unwrap().len()).sum()
+    }
+
+    /// A line of the table; answers the private memory in KiB.
+    fn sample(&mut self, frames: u64, since: u64, ms_a_frame: f64) -> f64 {
+        let (kib, folder_bytes) = (private_kib(), self.folder_bytes());
+        assert!(folder_bytes <= DISK_BYTES, "{folder_bytes} bytes after frame {frames}");
+        let map = self.recogniser.map().summary();
+        println!(
+            "| {frames} | {:.1} | {:.1} | {} | {} | {} | {} | {} | {:.1} | {ms_a_frame:.2} |",
+            kib / 1024.0,
+            folder_bytes as f64 / f64::from(1 << 20),
+            map.places,
+            map.merged_places,
+            self.recogniser.working_places(),
+            map.keyframes,
+            map.experiences,
+            self.recognised as f64 * 100.0 / since as f64,
+        );
+        self.recognised = 0;
+        kib
+    }
+}
+
+#[test]
+#[ignore = "takes many minutes: `make soak`"]
+fn a_million_frames_leave_memory_flat_and_the_map_within_its_budget() {
+    let frames: u64 = std::env::var("LOCI_SOAK_FRAMES").map_or(DEFAULT_FRAMES, |text| text.parse().unwrap());
+    let mut soak = Soak::new();
+    println!(
+        "| Frames | Private memory, MiB | Folder, MiB | Places | merged | searched | Keyframes | Experiences | \
+         Recognised, % | ms a frame |\n|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"
+    );
+    let since = frames / SAMPLES;
+    let mut samples = Vec::new();
+    let mut started = Instant::now();
+    for index in 0..frames {
+        soak.drive(index);
+        if (index + 1) % since == 0 {
+            let ms_a_frame = started.elapsed().as_secs_f64() * 1e3 / since as f64;
+            samples.push(((index + 1) as f64, soak.sample(index + 1, since, ms_a_frame)));
+            started = Instant::now();
+        }
+    }
+    let kib_per_100_000 = slope(&samples[samples.len() / 2..]) * 1e5;
+    println!("second half: {kib_per_100_000:+.1} KiB per 100,000 frames");
+    assert!(kib_per_100_000 < 512.0, "memory grows by {kib_per_100_000} KiB per 100,000 frames");
+}
