@@ -94,6 +94,8 @@ impl Recogniser {
     /// From now on the map is only read, as if this failure had just happened.
     pub fn read_only_because(&mut self, failure: MapError) {
         self.options.read_only = true;
+        // No place is founded any more, so no frame joins one unasked.
+        self.visits = Visits::new(self.options.place_interval);
         self.map_failure = Some(failure);
     }
 

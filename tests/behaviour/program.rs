@@ -60,7 +60,8 @@ pub(crate) fn loci_without_runtime<A: AsRef<OsStr>>(arguments: &[A]) -> Finished
     finished(&mut command)
 }
 
-fn finished(command: &mut Command) -> Finished {
+/// Runs `command` to its end.
+pub(crate) fn finished(command: &mut Command) -> Finished {
     // Suites start from LOCI_DATA where it is set; those of tests stand beside their data.
     let output = command.env("RUST_BACKTRACE", "0").env_remove("LOCI_DATA").output().unwrap();
     Finished {
