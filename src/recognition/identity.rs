@@ -2,11 +2,12 @@
 //!
 //! The robot may found a place twice: it came back in another light, or the place waited on the disk. Later frames
 //! that geometry matches strongly to both, on several visits, say that both are one: they are merged, and the
-//! younger number stays a name of the older place. If frames then keep matching the one half and never the other,
+//! younger number stays a name of the older place. If frames then keep matching the one half and not the other,
 //! they were two that look alike: the merge is undone.
 //!
-//! Places next to each other along the way share views without being one: places that were founded soon after
-//! each other are never merged.
+//! Places next to each other along the way share views without being one. So a visit counts as a whole: it says one
+//! place only if at least two of three frames that show either show both, which a border between two does not; and
+//! places that were founded soon after each other are never merged.
 
 use std::collections::BTreeMap;
 
@@ -16,33 +17,63 @@ use crate::place_map::{MapError, PlaceId};
 
 /// Effective inliers, as a multiple of what a match needs, that make a match strong.
 const STRONG: u32 = 2;
-/// Frames after which a frame counts as one of another visit.
+/// Frames after which a visit is over.
 const VISIT_FRAMES: u64 = 20;
-/// Visits that must match both places before they are merged.
+/// By how many the visits that say one place must outnumber the others before places are merged.
 const MERGED_AT: i32 = 3;
-/// By how many the visits that match one half alone must outnumber those that match both before a merge is undone.
+/// The same for two places, before a merge is undone.
 const SPLIT_AT: i32 = -6;
 /// Experiences that lie at least between the foundings of places that may be one.
 const FOUNDING_GAP: u32 = 50;
 /// Pairs of places that are thought about at a time.
 const MAX_PAIRS: usize = 1024;
 
+/// The smaller number first.
+type Pair = (PlaceId, PlaceId);
+
 /// What speaks for two places being one.
 #[derive(Default)]
 struct PairEvidence {
-    /// Visits that matched both, less those that matched one alone. Of a merged pair it counts from the first visit
-    /// that makes it doubtful, and is dropped once the doubt is gone: else pairs without doubt, which are seen again
-    /// with every round, would crowd out those that are still to be merged.
+    /// Visits that say one place, less those that say two.
     balance: i32,
+    /// Frames of the visit that is not over: those that match both, and those that match one alone.
+    together: u32,
+    apart: u32,
     /// Frame that counted last.
-    latest_frame: Option<u64>,
+    latest_frame: u64,
 }
 
-/// The pairs of places that may be one.
+/// What a frame says of two places.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Verdict {
+    Together,
+    Apart,
+}
+
+impl PairEvidence {
+    fn count(&mut self, frame: u64, verdict: Verdict) {
+        match verdict {
+            Verdict::Together => self.together += 1,
+            Verdict::Apart => self.apart += 1,
+        }
+        self.latest_frame = frame;
+    }
+
+    /// Ends the visit if it is over at `frame`; answers its frames that match both and that match one alone.
+    fn ended(&mut self, frame: u64) -> Option<(u32, u32)> {
+        let is_over = self.together + self.apart > 0 && frame - self.latest_frame > VISIT_FRAMES;
+        is_over.then(|| (std::mem::take(&mut self.together), std::mem::take(&mut self.apart)))
+    }
+}
+
+/// What is thought about whether places are one.
 #[derive(Default)]
 pub(super) struct Identities {
     frames: u64,
-    pairs: BTreeMap<(PlaceId, PlaceId), PairEvidence>,
+    /// Places that may be one.
+    suspected: BTreeMap<Pair, PairEvidence>,
+    /// Halves of a merged place that may be two: from the first frame that makes it doubtful until the doubt is gone.
+    doubted: BTreeMap<Pair, PairEvidence>,
 }
 
 /// A place as it was learnt that a frame was compared with.
@@ -54,50 +85,77 @@ struct Compared {
     is_match: bool,
 }
 
-/// What a frame says of two places.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Verdict {
-    Together,
-    Apart,
-    Nothing,
-}
-
 /// What is to be done about two places.
+#[derive(Debug, PartialEq, Eq)]
 enum Change {
     Merge { from: PlaceId, into: PlaceId },
     Split { place: PlaceId },
 }
 
 impl Identities {
-    /// Counts what this frame says of a pair, once a visit; answers the balance.
-    fn count(&mut self, pair: (PlaceId, PlaceId), is_merged: bool, verdict: Verdict) -> i32 {
-        if !self.pairs.contains_key(&pair) {
-            if is_merged && verdict == Verdict::Together {
-                return 0;
-            }
-            self.make_room();
-        }
-        let frame = self.frames;
-        let evidence = self.pairs.entry(pair).or_default();
-        if evidence.latest_frame.is_none_or(|latest| frame - latest > VISIT_FRAMES) {
-            evidence.balance += if verdict == Verdict::Together { 1 } else { -1 };
-            evidence.latest_frame = Some(frame);
-        }
-        let balance = evidence.balance;
-        if is_merged && balance >= 0 {
-            self.pairs.remove(&pair);
-        }
-        balance
+    /// The frame matches both.
+    fn suspect(&mut self, pair: Pair) {
+        make_room(&mut self.suspected, pair);
+        self.suspected.entry(pair).or_default().count(self.frames, Verdict::Together);
     }
 
-    /// Forgets the pair that was not seen for longest, if there are too many.
-    fn make_room(&mut self) {
-        if self.pairs.len() >= MAX_PAIRS {
-            let oldest = self.pairs.iter().min_by_key(|(_, evidence)| evidence.latest_frame);
-            if let Some(oldest) = oldest.map(|(&pair, _)| pair) {
-                self.pairs.remove(&oldest);
+    /// Counts against all suspicions of which the frame matches one place strongly and the other not at all.
+    fn clear(&mut self, is_strong: impl Fn(PlaceId) -> bool, is_match: impl Fn(PlaceId) -> bool) {
+        for (&(a, b), evidence) in &mut self.suspected {
+            if is_strong(a) && !is_match(b) || is_strong(b) && !is_match(a) {
+                evidence.count(self.frames, Verdict::Apart);
             }
         }
+    }
+
+    /// What the frame says of two halves of a place. What speaks for a merge counts only where it is doubted.
+    fn doubt(&mut self, halves: Pair, verdict: Verdict) {
+        if verdict == Verdict::Apart {
+            make_room(&mut self.doubted, halves);
+            self.doubted.entry(halves).or_default().count(self.frames, verdict);
+        } else if let Some(evidence) = self.doubted.get_mut(&halves) {
+            evidence.count(self.frames, verdict);
+        }
+    }
+
+    /// Judges the visits that are over; what they say is to be done, the first such thing.
+    fn judge_visits(&mut self) -> Option<Change> {
+        let frame = self.frames;
+        for (&(into, from), evidence) in &mut self.suspected {
+            // A visit without a frame that matches both may have been in a light in which only one can be matched.
+            if let Some((together @ 1.., apart)) = evidence.ended(frame) {
+                evidence.balance += if together >= 2 * apart { 1 } else { -1 };
+                if evidence.balance >= MERGED_AT {
+                    return Some(Change::Merge { from, into });
+                }
+            }
+        }
+        let mut split = None;
+        self.doubted.retain(|&(_, place), evidence| {
+            let Some((together, apart)) = evidence.ended(frame) else { return true };
+            evidence.balance += if together >= 2 * apart { 1 } else { -1 };
+            if evidence.balance <= SPLIT_AT {
+                split.get_or_insert(Change::Split { place });
+            }
+            evidence.balance < 0
+        });
+        split
+    }
+
+    /// Begins anew with everything about `place`, which is about to change.
+    fn forget(&mut self, place: PlaceId) {
+        self.suspected.retain(|&(a, b), _| a != place && b != place);
+    }
+}
+
+/// Forgets the pair that was not seen for longest, if there are too many and `pair` is new.
+fn make_room(pairs: &mut BTreeMap<Pair, PairEvidence>, pair: Pair) {
+    if pairs.len() < MAX_PAIRS || pairs.contains_key(&pair) {
+        return;
+    }
+    let oldest = pairs.iter().min_by_key(|(_, evidence)| evidence.latest_frame);
+    if let Some(oldest) = oldest.map(|(&pair, _)| pair) {
+        pairs.remove(&oldest);
     }
 }
 
@@ -109,9 +167,12 @@ impl Recogniser {
     pub(super) fn weigh_identities(&mut self, candidates: &Candidates) -> Result<(), MapError> {
         self.identities.frames += 1;
         let compared = self.compared(candidates);
-        let pairs = (0..compared.len()).flat_map(|j| (0..j).map(move |i| (i, j)));
-        let change = pairs.into_iter().find_map(|(i, j)| self.weigh(compared[i], compared[j]));
-        match change {
+        for (i, &b) in compared.iter().enumerate() {
+            compared[..i].iter().for_each(|&a| self.weigh(a, b));
+        }
+        let any = |place, is: fn(&Compared) -> bool| compared.iter().any(|c| c.place == place && is(c));
+        self.identities.clear(|place| any(place, |c| c.is_strong), |place| any(place, |c| c.is_match));
+        match self.identities.judge_visits() {
             Some(Change::Merge { from, into }) => self.merge(from, into),
             Some(Change::Split { place }) => self.split(place),
             None => Ok(()),
@@ -132,34 +193,36 @@ impl Recogniser {
         compared.collect()
     }
 
-    fn weigh(&mut self, a: Compared, b: Compared) -> Option<Change> {
-        let (older, younger) = (a.learnt_as.min(b.learnt_as), a.learnt_as.max(b.learnt_as));
-        let is_merged = a.place == b.place;
-        let verdict = match (a.is_strong && b.is_strong, is_merged) {
-            (true, true) => Verdict::Together,
-            (true, false) if self.were_founded_apart(a.place, b.place) => Verdict::Together,
-            (false, true) if a.is_strong && !b.is_match || b.is_strong && !a.is_match => Verdict::Apart,
-            _ => Verdict::Nothing,
-        };
-        if verdict == Verdict::Nothing || older == younger {
-            return None;
+    fn weigh(&mut self, a: Compared, b: Compared) {
+        let pair = |a: PlaceId, b: PlaceId| (a.min(b), a.max(b));
+        let is_together = a.is_strong && b.is_strong;
+        if a.place != b.place {
+            if is_together && self.were_founded_apart(a.learnt_as, b.learnt_as) {
+                self.identities.suspect(pair(a.place, b.place));
+            }
+        } else if a.learnt_as != b.learnt_as {
+            let halves = pair(a.learnt_as, b.learnt_as);
+            if is_together {
+                self.identities.doubt(halves, Verdict::Together);
+            } else if a.is_strong && !b.is_match || b.is_strong && !a.is_match {
+                self.identities.doubt(halves, Verdict::Apart);
+            }
         }
-        let balance = self.identities.count((older, younger), is_merged, verdict);
-        if !is_merged && balance >= MERGED_AT {
-            self.identities.pairs.remove(&(older, younger));
-            return Some(Change::Merge { from: a.place.max(b.place), into: a.place.min(b.place) });
-        }
-        (is_merged && balance <= SPLIT_AT).then_some(Change::Split { place: younger })
     }
 
     /// Whether so much was learnt between the foundings of two places that the robot must have come back.
     fn were_founded_apart(&self, a: PlaceId, b: PlaceId) -> bool {
-        let founded = |place| self.map.place(place).and_then(|place| place.experiences.first().copied());
+        let founded = |half: PlaceId| {
+            let experiences = &self.map.place(half)?.experiences;
+            let is_of_half = |id: &&_| self.map.experience(**id).is_some_and(|e| e.learnt_as == half);
+            experiences.iter().find(is_of_half).copied()
+        };
         founded(a).zip(founded(b)).is_some_and(|(a, b)| a.0.abs_diff(b.0) >= FOUNDING_GAP)
     }
 
     /// From now on `from` is `into`.
     fn merge(&mut self, from: PlaceId, into: PlaceId) -> Result<(), MapError> {
+        [from, into].into_iter().for_each(|place| self.identities.forget(place));
         self.map.merge_places(from, into)?;
         self.working_set.remove(from);
         self.visits.rename(from, into);
@@ -168,7 +231,7 @@ impl Recogniser {
 
     /// From now on what was learnt as `place` is a place of its own again, if it was merged.
     fn split(&mut self, place: PlaceId) -> Result<(), MapError> {
-        self.identities.pairs.retain(|&(a, b), _| a != place && b != place);
+        self.identities.doubted.retain(|&(a, b), _| a != place && b != place);
         if self.map.places().nth(place.0 as usize).is_none_or(|place| place.merged_into.is_none()) {
             return Ok(());
         }
@@ -190,33 +253,83 @@ impl Recogniser {
 mod tests {
     use super::*;
 
-    #[test]
-    fn pairs_without_doubt_never_crowd_out_those_that_are_still_to_be_merged() {
-        let mut identities = Identities::default();
-        let pair = |number: u32| (PlaceId(2 * number), PlaceId(2 * number + 1));
-        let mut balance = 0;
-        for _ in 0..MERGED_AT {
-            for merged in 1..=2 * MAX_PAIRS as u32 {
-                identities.frames += 1;
-                identities.count(pair(merged), true, Verdict::Together);
+    const HERE: Pair = (PlaceId(0), PlaceId(1));
+
+    /// A visit whose frames match both places, and one alone, so often; then the robot is elsewhere.
+    fn visit(identities: &mut Identities, together: u32, apart: u32) -> Option<Change> {
+        for index in 0..together + apart {
+            identities.frames += 1;
+            match index < together {
+                true => identities.suspect(HERE),
+                false => identities.clear(|place| place == HERE.0, |place| place == HERE.0),
             }
-            balance = identities.count(pair(0), false, Verdict::Together);
+            assert_eq!(identities.judge_visits(), None, "the visit is not over");
         }
-        assert_eq!((balance, identities.pairs.len()), (MERGED_AT, 1));
+        identities.frames += VISIT_FRAMES + 1;
+        identities.judge_visits()
+    }
+
+    fn visit_halves(identities: &mut Identities, verdict: Verdict) -> Option<Change> {
+        identities.frames += 1;
+        identities.doubt(HERE, verdict);
+        identities.frames += VISIT_FRAMES + 1;
+        identities.judge_visits()
+    }
+
+    #[test]
+    fn a_place_and_the_next_one_share_a_few_frames_a_visit_and_are_never_merged() {
+        let mut identities = Identities::default();
+        for _ in 0..20 {
+            assert_eq!(visit(&mut identities, 3, 2), None);
+        }
+    }
+
+    #[test]
+    fn one_place_is_seen_as_both_nearly_always_and_is_merged_at_the_end_of_the_third_visit() {
+        let mut identities = Identities::default();
+        assert_eq!(visit(&mut identities, 4, 2), None);
+        assert_eq!(visit(&mut identities, 0, 5), None, "in a light in which one alone can be matched");
+        assert_eq!(visit(&mut identities, 2, 0), None);
+        let merge = Change::Merge { from: PlaceId(1), into: PlaceId(0) };
+        assert_eq!(visit(&mut identities, 5, 1), Some(merge));
+    }
+
+    #[test]
+    fn a_visit_that_lasts_is_one_visit() {
+        let mut identities = Identities::default();
+        for _ in 0..100 * VISIT_FRAMES {
+            identities.frames += 1;
+            identities.suspect(HERE);
+            assert_eq!(identities.judge_visits(), None);
+        }
+    }
+
+    #[test]
+    fn merges_without_doubt_are_not_thought_about() {
+        let mut identities = Identities::default();
+        assert_eq!(visit_halves(&mut identities, Verdict::Together), None);
+        assert_eq!(identities.doubted.len(), 0);
     }
 
     #[test]
     fn a_doubt_is_gone_when_as_many_visits_matched_both_as_one() {
         let mut identities = Identities::default();
-        let pair = (PlaceId(0), PlaceId(1));
-        let mut balances = Vec::new();
-        for verdict in
-            [Verdict::Apart, Verdict::Apart, Verdict::Together, Verdict::Together, Verdict::Together]
-        {
-            identities.frames += VISIT_FRAMES + 1;
-            balances.push(identities.count(pair, true, verdict));
+        let mut open = Vec::new();
+        for verdict in [Verdict::Apart, Verdict::Apart, Verdict::Together, Verdict::Together] {
+            assert_eq!(visit_halves(&mut identities, verdict), None);
+            open.push(identities.doubted.len());
         }
-        assert_eq!((balances, identities.pairs.len()), (vec![-1, -2, -1, 0, 0], 0));
+        assert_eq!(open, [1, 1, 1, 0]);
+    }
+
+    #[test]
+    fn a_merge_is_undone_after_six_visits_that_matched_one_half_alone() {
+        let mut identities = Identities::default();
+        for _ in 0..5 {
+            assert_eq!(visit_halves(&mut identities, Verdict::Apart), None);
+        }
+        let split = Change::Split { place: PlaceId(1) };
+        assert_eq!(visit_halves(&mut identities, Verdict::Apart), Some(split));
     }
 
     #[test]
@@ -224,9 +337,9 @@ mod tests {
         let mut identities = Identities::default();
         for number in 0..2 * MAX_PAIRS as u32 {
             identities.frames += 1;
-            identities.count((PlaceId(number), PlaceId(number + 1)), false, Verdict::Together);
+            identities.suspect((PlaceId(number), PlaceId(number + 1)));
         }
-        assert_eq!(identities.pairs.len(), MAX_PAIRS);
-        assert!(!identities.pairs.contains_key(&(PlaceId(0), PlaceId(1))));
+        assert_eq!(identities.suspected.len(), MAX_PAIRS);
+        assert!(!identities.suspected.contains_key(&HERE));
     }
 }
