@@ -61,14 +61,17 @@ pub enum MapError {
 }
 
 impl MapError {
-    /// Whether the folder may be read and not written.
+    /// Whether the folder may be read and not written, as on a full disk.
     #[must_use]
     pub fn is_unwritable(&self) -> bool {
-        use std::io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
+        use std::io::ErrorKind::{
+            FileTooLarge, PermissionDenied, QuotaExceeded, ReadOnlyFilesystem, StorageFull,
+        };
         match self {
-            Self::Storage(StorageError::Io { source, .. }) => {
-                matches!(source.kind(), PermissionDenied | ReadOnlyFilesystem)
-            }
+            Self::Storage(StorageError::Io { source, .. }) => matches!(
+                source.kind(),
+                PermissionDenied | ReadOnlyFilesystem | StorageFull | QuotaExceeded | FileTooLarge
+            ),
             _ => false,
         }
     }

@@ -162,25 +162,27 @@ impl PlaceMap {
             Some(place) => self.existing(place)?,
             None => PlaceId(self.contents.places.len() as u32),
         };
-        let given_up = self.given_up_for(id, place, new);
-        if given_up == Some(id) {
-            self.latest_place = Some(place);
-            return Ok(Learnt { place, experience: None, given_up: Vec::new() });
-        }
+        let mut given_up = self.given_up_for(id, place, new);
+        let experience = (!given_up.contains(&id)).then_some(id);
+        given_up.retain(|&other| other != id);
         let mut batch = Batch::default();
-        for record in self.linked(place) {
-            batch.add(PLACE, format::encode(&record))?;
+        if experience.is_some() {
+            for record in self.linked(place) {
+                batch.add(PLACE, format::encode(&record))?;
+            }
+            batch.add_experience(id, place, new)?;
         }
-        batch.add_experience(id, place, new)?;
-        if let Some(given_up) = given_up {
-            batch.add(THINNED, format::encode(&ThinnedRecord::new(&[given_up])))?;
+        if !given_up.is_empty() {
+            batch.add(THINNED, format::encode(&ThinnedRecord::new(&given_up)))?;
         }
         let mut forgotten: Vec<ExperienceId> =
-            given_up.filter(|&id| self.is_keyframe(id)).into_iter().collect();
-        forgotten.extend(self.make_room(batch.length_bytes())?);
-        self.write(&batch)?;
+            given_up.into_iter().filter(|&id| self.is_keyframe(id)).collect();
+        if !batch.0.is_empty() {
+            forgotten.extend(self.make_room(batch.length_bytes())?);
+            self.write(&batch)?;
+        }
         self.latest_place = Some(place);
-        Ok(Learnt { place, experience: Some(id), given_up: forgotten })
+        Ok(Learnt { place, experience, given_up: forgotten })
     }
 
     /// Gives `place` a name, or another one.
@@ -264,32 +266,29 @@ impl PlaceMap {
         Ok(found.id)
     }
 
-    /// The experience that tells least in a place that has enough of them: perhaps the new one, unless it is a
-    /// keyframe.
-    fn given_up_for(
-        &self,
-        id: ExperienceId,
-        place: PlaceId,
-        new: &NewExperience<'_>,
-    ) -> Option<ExperienceId> {
-        let place = self.contents.places.get(&place)?;
-        if place.experiences.len() < self.options.place_experiences {
-            return None;
+    /// The experiences that tell least in a place that has enough of them: perhaps the new one, unless it is a
+    /// keyframe. One for the new one, and a second one where a merge has brought too many together.
+    fn given_up_for(&self, id: ExperienceId, place: PlaceId, new: &NewExperience<'_>) -> Vec<ExperienceId> {
+        let Some(Place { id: learnt_as, experiences, .. }) = self.contents.places.get(&place) else {
+            return Vec::new();
+        };
+        let most = self.options.place_experiences;
+        if experiences.len() < most {
+            return Vec::new();
         }
-        let mut glimpses = thinning::glimpses(&self.contents, place);
-        glimpses.push(Glimpse {
-            id,
-            view: new.view,
-            mean_luminance: Some(new.mean_luminance),
-            is_keyframe: new.keyframe.is_some(),
-        });
-        let given_up = thinning::least_telling(&glimpses)?;
-        if given_up == id && new.keyframe.is_some() {
-            // A look that recognition lacks is worth more than what the hash says of it.
-            glimpses.pop();
-            return thinning::least_telling(&glimpses);
+        let mut glimpses = thinning::glimpses(&self.contents, &self.contents.places[&place]);
+        // A look that recognition lacks is worth more than what the hash says of it.
+        if new.keyframe.is_none() {
+            let (view, mean_luminance) = (new.view, Some(new.mean_luminance));
+            glimpses.push(Glimpse { id, learnt_as: *learnt_as, view, mean_luminance, is_keyframe: false });
         }
-        Some(given_up)
+        let mut given_up = Vec::new();
+        for _ in 0..1 + usize::from(experiences.len() > most) {
+            let Some(least) = thinning::least_telling(&glimpses) else { break };
+            glimpses.retain(|glimpse| glimpse.id != least);
+            given_up.push(least);
+        }
+        given_up
     }
 
     /// The records of places that the way to `place` makes or changes.

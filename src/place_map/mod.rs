@@ -60,7 +60,7 @@ pub struct Place {
     pub name: Option<String>,
     /// The place that it turned out to be; then its experiences are there.
     pub merged_into: Option<PlaceId>,
-    /// Places next to it along the way, the latest last.
+    /// Places next to it along the way, in the order in which they were found to be; at most eight.
     pub neighbours: Vec<PlaceId>,
     /// Its experiences, oldest first.
     pub experiences: Vec<ExperienceId>,

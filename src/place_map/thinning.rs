@@ -1,7 +1,12 @@
 //! Which experience of a place tells least: one of the two that are most alike in light and view.
+//!
+//! A place that was merged from several may be taken apart again, so each of them keeps what it is recognised by.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
 use super::contents::Contents;
-use super::{Experience, ExperienceId, Place};
+use super::{Experience, ExperienceId, Place, PlaceId};
 
 /// Difference in mean luminance, of 255, that counts as much as a view of which every bit differs.
 const LIGHT_SPAN: f32 = 64.0;
@@ -12,6 +17,7 @@ const VIEW_BITS: f32 = 64.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Glimpse {
     pub(super) id: ExperienceId,
+    pub(super) learnt_as: PlaceId,
     pub(super) view: u64,
     pub(super) mean_luminance: Option<f32>,
     pub(super) is_keyframe: bool,
@@ -19,8 +25,8 @@ pub(super) struct Glimpse {
 
 impl From<&Experience> for Glimpse {
     fn from(experience: &Experience) -> Self {
-        let &Experience { id, view, mean_luminance, is_keyframe, .. } = experience;
-        Self { id, view, mean_luminance, is_keyframe }
+        let &Experience { id, learnt_as, view, mean_luminance, is_keyframe, .. } = experience;
+        Self { id, learnt_as, view, mean_luminance, is_keyframe }
     }
 }
 
@@ -34,25 +40,42 @@ impl Glimpse {
 }
 
 /// The one that tells least among `glimpses`, which are in the order of their numbers: of the two that are most alike
-/// the one that is no keyframe, else the younger. `None` of fewer than two.
+/// the one that is no keyframe, else the younger; but never the last keyframe, or the last of all, that was learnt as
+/// one place. `None` where there is no such.
 pub(super) fn least_telling(glimpses: &[Glimpse]) -> Option<ExperienceId> {
-    let mut closest: Option<(f32, &Glimpse, &Glimpse)> = None;
+    let mut counts: BTreeMap<(PlaceId, bool), usize> = BTreeMap::new();
+    for glimpse in glimpses {
+        *counts.entry((glimpse.learnt_as, glimpse.is_keyframe)).or_default() += 1;
+    }
+    let count =
+        |glimpse: &Glimpse, is_keyframe| counts.get(&(glimpse.learnt_as, is_keyframe)).copied().unwrap_or(0);
+    let is_spare = |glimpse: &&Glimpse| match glimpse.is_keyframe {
+        true => count(glimpse, true) > 1,
+        false => count(glimpse, true) + count(glimpse, false) > 1,
+    };
+    let mut least: Option<(f32, ExperienceId)> = None;
     for (index, younger) in glimpses.iter().enumerate() {
         for older in &glimpses[..index] {
             let difference = older.difference(younger);
-            if closest.is_none_or(|(least, ..)| difference < least) {
-                closest = Some((difference, older, younger));
+            if least.is_none_or(|(known, _)| difference < known) {
+                let first = if younger.is_keyframe && !older.is_keyframe { older } else { younger };
+                let spare = [first, younger, older].into_iter().find(is_spare);
+                least = spare.map(|spare| (difference, spare.id)).or(least);
             }
         }
     }
-    let (_, older, younger) = closest?;
-    Some(if younger.is_keyframe && !older.is_keyframe { older.id } else { younger.id })
+    least.map(|(_, id)| id)
 }
 
-/// The one that tells least in the place that has most experiences; `None` if every place has but one.
+/// The one that tells least in the place that has most experiences and some to spare; `None` if no place has.
 pub(super) fn least_telling_of_all(contents: &Contents) -> Option<ExperienceId> {
+    let least = |place: &Place| least_telling(&glimpses(contents, place));
     let fullest = contents.places.values().max_by_key(|place| place.experiences.len())?;
-    least_telling(&glimpses(contents, fullest))
+    least(fullest).or_else(|| {
+        let mut places: Vec<&Place> = contents.places.values().collect();
+        places.sort_by_key(|place| Reverse(place.experiences.len()));
+        places.into_iter().take_while(|place| place.experiences.len() > 1).find_map(least)
+    })
 }
 
 /// The experiences of `place`.
@@ -66,7 +89,13 @@ mod tests {
     use super::*;
 
     fn glimpse(id: u32, view: u64, mean_luminance: f32, is_keyframe: bool) -> Glimpse {
-        Glimpse { id: ExperienceId(id), view, mean_luminance: Some(mean_luminance), is_keyframe }
+        Glimpse {
+            id: ExperienceId(id),
+            learnt_as: PlaceId(0),
+            view,
+            mean_luminance: Some(mean_luminance),
+            is_keyframe,
+        }
     }
 
     fn thinned_to(mut glimpses: Vec<Glimpse>, count: usize) -> Vec<u32> {
@@ -91,6 +120,14 @@ mod tests {
         let alike = [glimpse(0, 0, 100.0, false), glimpse(1, 0, 100.0, true), glimpse(2, 7, 100.0, false)];
         assert_eq!(thinned_to(alike.to_vec(), 2), [1, 2]);
         assert_eq!(thinned_to(alike.to_vec(), 1), [1]);
+    }
+
+    #[test]
+    fn a_place_that_was_merged_into_another_keeps_a_keyframe_of_its_own() {
+        let merged = |id| Glimpse { learnt_as: PlaceId(1), ..glimpse(id, 0, 100.0, true) };
+        let alike = [glimpse(0, 0, 100.0, true), merged(1), glimpse(2, 0, 100.0, false), merged(3)];
+        assert_eq!(thinned_to(alike.to_vec(), 2), [0, 3]);
+        assert_eq!(least_telling(&[alike[0], alike[1]]), None, "each is the last of its place");
     }
 
     #[test]

@@ -50,30 +50,40 @@ impl PlaceMap {
         let budget_bytes = self.options.disk_bytes;
         let free_bytes = FREE_SEGMENTS * self.options.segment_bytes();
         let mut given_up = Vec::new();
-        if self.contents.live_bytes as f64 > LIVE_SHARE * budget_bytes as f64 {
-            given_up = self.give_up()?;
-        }
+        self.give_up(GIVEN_UP_AT_ONCE, &mut given_up)?;
         if self.folder_bytes().saturating_add(free_bytes) > budget_bytes {
             self.clean(CLEANING_BYTES)?;
         }
         if self.folder_bytes().saturating_add(bytes) > budget_bytes {
-            let places = self.contents.places.len();
-            return Err(MapError::Full { places, bytes: self.contents.live_bytes, budget_bytes });
+            // The map was larger before it got this budget: what else comes little by little comes at once.
+            self.give_up(usize::MAX, &mut given_up)?;
+        }
+        while self.folder_bytes().saturating_add(bytes) > budget_bytes {
+            let before = self.journal.oldest_number();
+            self.clean(u64::MAX)?;
+            if self.journal.oldest_number() == before {
+                let places = self.contents.places.len();
+                return Err(MapError::Full { places, bytes: self.contents.live_bytes, budget_bytes });
+            }
         }
         Ok(given_up)
     }
 
-    /// Gives up what tells least; answers the keyframes among it.
-    fn give_up(&mut self) -> Result<Vec<ExperienceId>, MapError> {
-        let mut keyframes = Vec::new();
-        for _ in 0..GIVEN_UP_AT_ONCE {
+    /// Gives up what tells least, as much as is too much but at most `count` experiences; the keyframes among them
+    /// come to `keyframes`.
+    fn give_up(&mut self, count: usize, keyframes: &mut Vec<ExperienceId>) -> Result<(), MapError> {
+        let most_bytes = LIVE_SHARE * self.options.disk_bytes as f64;
+        for _ in 0..count {
+            if self.contents.live_bytes as f64 <= most_bytes {
+                break;
+            }
             let Some(id) = thinning::least_telling_of_all(&self.contents) else { break };
             keyframes.extend(self.is_keyframe(id).then_some(id));
             let mut batch = Batch::default();
             batch.add(THINNED, format::encode(&ThinnedRecord::new(&[id])))?;
             self.write(&batch)?;
         }
-        Ok(keyframes)
+        Ok(())
     }
 
     /// Writes up to `bytes` of what still counts in the oldest segment again, and deletes it once nothing does.

@@ -112,6 +112,11 @@ impl KeyframeIndex {
         self.documents.contains_key(&keyframe)
     }
 
+    /// All keyframes, in no order.
+    pub(super) fn experiences(&self) -> impl Iterator<Item = ExperienceId> {
+        self.documents.keys().copied()
+    }
+
     /// The words of a keyframe in every condition.
     pub(super) fn words_of(&self, features: &Features) -> Vec<VocabularyWords> {
         let words = |condition| {

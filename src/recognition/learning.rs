@@ -59,14 +59,24 @@ impl Recogniser {
             keyframe: keyframe.as_ref().map(|(features, traits)| (features, traits)),
         };
         let learnt = self.map.learn(place, &new)?;
-        for &given_up in &learnt.given_up {
-            self.keyframes.remove(given_up);
-            self.appearances.remove(given_up);
-        }
+        learnt.given_up.iter().for_each(|&given_up| self.forget(given_up));
         if let (Some(experience), Some((features, traits))) = (learnt.experience, &keyframe) {
             self.make_findable((learnt.place, experience), traits, Some(features))?;
         }
         Ok(learnt)
+    }
+
+    /// Makes a keyframe not findable any more.
+    pub(super) fn forget(&mut self, keyframe: ExperienceId) {
+        self.keyframes.remove(keyframe);
+        self.appearances.remove(keyframe);
+    }
+
+    /// Forgets the keyframes that the map has given up; a change that failed half-way does not say which.
+    pub(super) fn forget_given_up(&mut self) {
+        let is_gone = |keyframe: &ExperienceId| self.map.experience(*keyframe).is_none();
+        let gone: Vec<ExperienceId> = self.keyframes.experiences().filter(is_gone).collect();
+        gone.into_iter().for_each(|keyframe| self.forget(keyframe));
     }
 
     fn appearance(&self, look: &Look) -> Option<Appearance> {

@@ -199,7 +199,7 @@ impl Recogniser {
         best
     }
 
-    /// A keyframe that cannot be read matches nothing.
+    /// A keyframe that cannot be read matches nothing, and is not asked again: its failure is said once.
     fn verify_keyframe(
         &mut self,
         (query, condition): (MatchingView<'_>, ConditionId),
@@ -214,6 +214,7 @@ impl Recogniser {
                 verify(query, view, &self.options.verification)
             }
             Err(failure) => {
+                self.keyframes.remove(keyframe);
                 self.map_failure.get_or_insert(failure);
                 Verification::default()
             }
@@ -271,6 +272,7 @@ impl Recogniser {
                 }
             }
             Err(failure) => {
+                self.forget_given_up();
                 self.read_only_because(failure);
                 if recognition.place.is_none() {
                     recognition.decision = Decision::Unknown;

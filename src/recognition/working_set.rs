@@ -21,13 +21,26 @@ const ROOM_MADE: f64 = 0.9;
 const LEAST_SHARE: f64 = 0.25;
 
 /// The places of the working set in the order in which they were last seen.
-#[derive(Default)]
 pub(super) struct WorkingSet {
     latest_turn: u64,
     turns: HashMap<PlaceId, u64>,
     by_turn: BTreeSet<(u64, PlaceId)>,
+    /// Places that memory has no room for.
+    waiting: BTreeSet<PlaceId>,
     /// Where to look next when the robot is lost.
-    next_searched: u32,
+    next_searched: PlaceId,
+}
+
+impl Default for WorkingSet {
+    fn default() -> Self {
+        Self {
+            latest_turn: 0,
+            turns: HashMap::new(),
+            by_turn: BTreeSet::new(),
+            waiting: BTreeSet::new(),
+            next_searched: PlaceId(0),
+        }
+    }
 }
 
 impl WorkingSet {
@@ -47,10 +60,12 @@ impl WorkingSet {
             self.by_turn.remove(&(before, place));
         }
         self.by_turn.insert((self.latest_turn, place));
+        self.waiting.remove(&place);
     }
 
-    /// Takes `place` out.
+    /// The place is no more: it was merged into another one.
     pub(super) fn remove(&mut self, place: PlaceId) {
+        self.waiting.remove(&place);
         if let Some(turn) = self.turns.remove(&place) {
             self.by_turn.remove(&(turn, place));
         }
@@ -60,7 +75,19 @@ impl WorkingSet {
     fn pop_oldest(&mut self) -> Option<PlaceId> {
         let (_, place) = (self.len() > 1).then(|| self.by_turn.pop_first()).flatten()?;
         self.turns.remove(&place);
+        self.waiting.insert(place);
         Some(place)
+    }
+
+    /// The next few of the places that wait, going round.
+    fn next_waiting(&mut self, count: usize) -> Vec<PlaceId> {
+        let (before, after) =
+            (self.waiting.range(..self.next_searched), self.waiting.range(self.next_searched..));
+        let next: Vec<PlaceId> = after.chain(before).take(count).copied().collect();
+        if let Some(last) = next.last() {
+            self.next_searched = PlaceId(last.0.saturating_add(1));
+        }
+        next
     }
 }
 
@@ -83,13 +110,16 @@ impl Recogniser {
             bytes <= self.budget_bytes()
         };
         let room = places.iter().rev().take_while(has_room).count().max(1).min(places.len());
-        let taken = &places[places.len() - room..];
+        let (left, taken) = places.split_at(places.len() - room);
+        self.working_set.waiting.extend(left.iter().map(|&(_, place)| place));
         // In the order in which they were learnt: so words grow as they did then.
         let mut keyframes: Vec<ExperienceId> =
             taken.iter().flat_map(|&(_, place)| self.keyframes_of(place)).collect();
         keyframes.sort_unstable();
         keyframes.into_iter().try_for_each(|keyframe| self.index(keyframe))?;
         taken.iter().for_each(|&(_, place)| self.working_set.touch(place));
+        // CNN descriptors were not reckoned with.
+        self.make_room();
         Ok(())
     }
 
@@ -102,16 +132,12 @@ impl Recogniser {
     /// The robot is at `place`: fetches what is near, and makes room by putting away what was not seen for longest.
     pub(super) fn stay_near(&mut self, place: PlaceId) -> Result<(), MapError> {
         let near = self.near(place);
-        let mut fetched = 0;
+        let waiting: Vec<PlaceId> =
+            near.iter().copied().filter(|&place| !self.working_set.contains(place)).collect();
+        let (fetched, left) = waiting.split_at(waiting.len().min(FETCHED_AT_ONCE));
+        fetched.iter().try_for_each(|&place| self.take_in(place))?;
         // The nearest comes last in turn, so that it is put away last.
-        for &place in near.iter().rev() {
-            if !self.working_set.contains(place) {
-                if fetched == FETCHED_AT_ONCE {
-                    continue;
-                }
-                self.take_in(place)?;
-                fetched += 1;
-            }
+        for &place in near.iter().rev().filter(|place| !left.contains(place)) {
             self.working_set.touch(place);
         }
         self.make_room();
@@ -120,21 +146,9 @@ impl Recogniser {
 
     /// The robot recognises nothing: fetches the next few of the places that wait.
     pub(super) fn look_around(&mut self) -> Result<(), MapError> {
-        let count = self.map.places().len() as u32;
-        let mut fetched = 0;
-        // Once round at most: places that were merged or are there already cost next to nothing.
-        for _ in 0..count {
-            let next = self.working_set.next_searched % count;
-            self.working_set.next_searched = next + 1;
-            let Some(place) = self.map.place(PlaceId(next)).map(|place| place.id) else { continue };
-            if place.0 == next && !self.working_set.contains(place) {
-                self.take_in(place)?;
-                self.working_set.touch(place);
-                fetched += 1;
-            }
-            if fetched == FETCHED_AT_ONCE {
-                break;
-            }
+        for place in self.working_set.next_waiting(FETCHED_AT_ONCE) {
+            self.take_in(place)?;
+            self.working_set.touch(place);
         }
         self.make_room();
         Ok(())
@@ -168,10 +182,7 @@ impl Recogniser {
         let enough_bytes = (ROOM_MADE * budget_bytes as f64) as usize;
         while self.index_bytes() > enough_bytes {
             let Some(place) = self.working_set.pop_oldest() else { break };
-            for keyframe in self.keyframes_of(place) {
-                self.keyframes.remove(keyframe);
-                self.appearances.remove(keyframe);
-            }
+            self.keyframes_of(place).into_iter().for_each(|keyframe| self.forget(keyframe));
         }
         self.keyframes.sweep();
     }
