@@ -25,6 +25,9 @@ const DURABILITIES: [&str; 3] = ["every", "interval=200ms", "none"];
 const LIVES: usize = 20;
 const WORLDS: u64 = 6;
 const FRAMES_A_WORLD: u32 = 60;
+/// Shares of an undisturbed run after which a run has begun to answer, and after which the kills end: well before it does.
+const STARTED: f64 = 0.1;
+const HALF_WAY: f64 = 0.5;
 const SLOWEST_RECOVERY: Duration = Duration::from_secs(1);
 /// Experiences of a place that is full.
 const FULL_PLACE: usize = 100;
@@ -135,24 +138,42 @@ fn whole_lines(output: ChildStdout) -> Vec<Value> {
     }
 }
 
-/// Runs `loci` on `recording` without a CNN, kills it after `delay`, and answers what it acknowledged; what it
-/// complained of goes to `complaints`.
+/// `loci run` on `recording` without a CNN, which it looks for in `nowhere`.
+fn run(recording: &Path, map: &Path, nowhere: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_loci"));
+    command.arg("run").arg(recording).arg("--map").arg(map).arg("--json");
+    command.env("HOME", nowhere).env("XDG_CACHE_HOME", nowhere);
+    for variable in ["ORT_DYLIB_PATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "CONDA_PREFIX"] {
+        command.env_remove(variable);
+    }
+    command
+}
+
+/// How long a run takes on this computer when nobody kills it: the median of three.
+fn undisturbed(recording: &Path) -> Duration {
+    let mut durations = [(); 3].map(|()| {
+        let folder = tempfile::tempdir().unwrap();
+        let started = Instant::now();
+        let ended = run(recording, &folder.path().join("map"), folder.path()).output().unwrap();
+        assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+        started.elapsed()
+    });
+    durations.sort_unstable();
+    durations[1]
+}
+
+/// Runs `loci` on `recording`, kills it after `delay`, and answers what it acknowledged and whether the kill came
+/// before the end; what it complained of goes to `complaints`.
 fn killed_run(
     (recording, life): (&Path, &Life),
     durability: &str,
     delay: Duration,
     complaints: &mut Vec<String>,
-) -> Vec<Value> {
+) -> (Vec<Value>, bool) {
     let nowhere = tempfile::tempdir().unwrap();
     let errors = nowhere.path().join("stderr");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_loci"));
-    command.arg("run").arg(recording).arg("--map").arg(&life.map);
-    command.args(["--json", "--durability", durability, "--map-disk"]);
-    command.arg(format!("{}MiB", life.budget.disk_mib()));
-    command.env("HOME", nowhere.path()).env("XDG_CACHE_HOME", nowhere.path());
-    for variable in ["ORT_DYLIB_PATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "CONDA_PREFIX"] {
-        command.env_remove(variable);
-    }
+    let mut command = run(recording, &life.map, nowhere.path());
+    command.args(["--durability", durability, "--map-disk", &format!("{}MiB", life.budget.disk_mib())]);
     command.stdout(Stdio::piped()).stderr(File::create(&errors).unwrap());
     let mut process = command.spawn().unwrap();
     let output = process.stdout.take().unwrap();
@@ -162,12 +183,15 @@ fn killed_run(
     let status = process.wait().unwrap();
     let lines = reader.join().unwrap();
     let errors = fs::read_to_string(errors).unwrap();
-    if status.signal() != Some(9) {
+    let is_killed = status.signal() == Some(9);
+    if !is_killed && !status.success() {
         complaints.push(format!("a run ended by itself with {status}: {errors}"));
     }
-    let harmless = |line: &&str| !line.contains("NO CNN") && !line.contains("last record was torn");
-    complaints.extend(errors.lines().filter(harmless).map(str::to_owned));
-    lines
+    if is_killed {
+        let harmless = |line: &&str| !line.contains("NO CNN") && !line.contains("last record was torn");
+        complaints.extend(errors.lines().filter(harmless).map(str::to_owned));
+    }
+    (lines, is_killed)
 }
 
 fn copy(from: &Path, to: &Path) -> u64 {
@@ -244,6 +268,8 @@ fn is_whole(map: &PlaceMap, id: ExperienceId, acknowledged: &Acknowledged) -> Re
 /// The whole trial: what was tried so far, and what came of it.
 struct Trial {
     recordings: Vec<PathBuf>,
+    /// What a run takes that nobody kills.
+    undisturbed: Duration,
     random: Pcg64,
     rows: [Row; 3],
     events: Events,
@@ -259,15 +285,15 @@ impl Trial {
         for _ in 0..life.budget.kills() {
             let turn = self.kills() % DURABILITIES.len();
             // A third of the kills hit the start and the recovery, the others the run.
-            let delay_us = match self.random.random_range(0..3) {
-                0 => self.random.random_range(0..60_000),
-                _ => self.random.random_range(60_000..500_000),
+            let share = match self.random.random_range(0..3) {
+                0 => self.random.random_range(0.0..STARTED),
+                _ => self.random.random_range(STARTED..HALF_WAY),
             };
             let recording = &self.recordings[self.random.random_range(0..self.recordings.len())];
-            let (delay, complaints) = (Duration::from_micros(delay_us), &mut self.events.complaints);
-            let lines = killed_run((recording, life), DURABILITIES[turn], delay, complaints);
+            let (delay, complaints) = (self.undisturbed.mul_f64(share), &mut self.events.complaints);
+            let (lines, is_killed) = killed_run((recording, life), DURABILITIES[turn], delay, complaints);
             let row = &mut self.rows[turn];
-            row.kills += 1;
+            row.kills += usize::from(is_killed);
             row.killed_before_first_frame += usize::from(lines.is_empty());
             row.frames += lines.len();
             row.experiences += life.note(&lines, complaints);
@@ -335,9 +361,11 @@ fn table(rows: &[Row; 3]) -> String {
 #[ignore = "takes minutes: `make test-crash`"]
 fn what_a_killed_run_acknowledged_is_never_lost() {
     let folder = tempfile::tempdir().unwrap();
-    let recordings = (0..WORLDS).map(|seed| recording(folder.path(), seed)).collect();
-    let random = Pcg64::seed_from_u64(5);
-    let mut trial = Trial { recordings, random, rows: Default::default(), events: Events::default() };
+    let recordings: Vec<PathBuf> = (0..WORLDS).map(|seed| recording(folder.path(), seed)).collect();
+    let (undisturbed, random) = (undisturbed(&recordings[0]), Pcg64::seed_from_u64(5));
+    println!("a run that nobody kills takes {:.0} ms", undisturbed.as_secs_f64() * 1e3);
+    let (rows, events) = Default::default();
+    let mut trial = Trial { recordings, undisturbed, random, rows, events };
     for index in 0..LIVES {
         let budget = if index % 2 == 0 { Budget::Ample } else { Budget::Small };
         trial.live(&mut Life::new(budget, folder.path().join(format!("map-{index}"))));
