@@ -16,10 +16,14 @@ pub(super) fn find(named: Option<&Path>, shipped: &str, flag: &str) -> anyhow::R
     if let Some(path) = named {
         return Ok(path.to_owned());
     }
-    let found = roots().into_iter().map(|root| root.join(shipped)).find(|path| path.exists());
-    found.ok_or_else(|| {
+    find_shipped(shipped).ok_or_else(|| {
         anyhow::anyhow!("{shipped} not found here nor beside the program; name it with {flag}")
     })
+}
+
+/// The shipped file or folder `shipped`, where there is one.
+pub(super) fn find_shipped(shipped: &str) -> Option<PathBuf> {
+    roots().into_iter().map(|root| root.join(shipped)).find(|path| path.exists())
 }
 
 /// `named`, or the shipped vocabulary alone.

@@ -1,5 +1,6 @@
 //! What a person at the terminal sees: lines, and of a stream a line a frame, a progress bar, a summary.
 
+use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
@@ -12,6 +13,8 @@ use loci::recognition::Decision;
 use loci::source::SourceError;
 use loci::telemetry::{FrameRecord, RecognitionSink, TelemetryError};
 
+use super::Outcome;
+
 /// Writes a line to stdout. Whoever reads it may have seen enough and gone: that is no failure.
 pub(super) fn say(line: &str) -> anyhow::Result<()> {
     match writeln!(io::stdout(), "{line}") {
@@ -20,6 +23,13 @@ pub(super) fn say(line: &str) -> anyhow::Result<()> {
         }
         _ => Ok(()),
     }
+}
+
+/// So many of a thing, in the singular where it is one.
+pub(super) fn counted(count: impl Display, thing: &str) -> String {
+    let count = count.to_string();
+    let ending = if count == "1" { "" } else { "s" };
+    format!("{count} {thing}{ending}")
 }
 
 /// Writes a line a frame for people.
@@ -109,30 +119,39 @@ impl Watcher for Reporter {
     }
 }
 
+/// How a run ended. A torn last record was reported when the map was opened.
+pub(super) fn outcome(summary: &RunSummary) -> Outcome {
+    let was_torn = summary.map.as_ref().is_some_and(|map| map.torn_bytes > 0);
+    if summary.lost_something() || was_torn { Outcome::Lost } else { Outcome::Done }
+}
+
 /// The summary of a run, for people.
 pub(super) fn summary_text(summary: &RunSummary) -> String {
     let count = |decision| summary.decided(decision);
     let mut text = format!(
-        "{} frames: {} recognised by the CNN, {} revisited by BoW+HV, {} within a place just founded, \
-         {} new places, {} unknown",
-        summary.frames,
+        "{}: {} recognised by the CNN, {} revisited by BoW+HV, {} within a place just founded, {}, {} unknown",
+        counted(summary.frames, "frame"),
         count(Decision::Recognised),
         count(Decision::Revisited),
         count(Decision::SamePlace),
-        count(Decision::NewPlace),
+        counted(count(Decision::NewPlace), "new place"),
         count(Decision::Unknown),
     );
     if summary.lost_something() {
         text += &format!(
-            "\n{} frames skipped, {} without the CNN's answer, {} failures of the map",
-            summary.skipped, summary.cnn_failures, summary.map_failures
+            "\n{} skipped, {} without the CNN's answer, {} of the map",
+            counted(summary.skipped, "frame"),
+            summary.cnn_failures,
+            counted(summary.map_failures, "failure"),
         );
     }
     if let Some(map) = &summary.map {
         let mib = map.journal_bytes as f64 / f64::from(1 << 20);
         text += &format!(
-            "\nmap: {} places, {} experiences ({} keyframes), {mib:.1} MiB",
-            map.places, map.experiences, map.keyframes
+            "\nmap: {}, {} ({}), {mib:.1} MiB",
+            counted(map.places, "place"),
+            counted(map.experiences, "experience"),
+            counted(map.keyframes, "keyframe"),
         );
     }
     text += "\nmedian time a frame:";
@@ -140,4 +159,17 @@ pub(super) fn summary_text(summary: &RunSummary) -> String {
         text += &format!(" {} {:.1} ms", stage.stage, stage.p50_us as f64 / 1e3);
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::counted;
+
+    #[test]
+    fn one_is_no_plural() {
+        assert_eq!(
+            [0, 1, 2, 11].map(|n| counted(n, "place")),
+            ["0 places", "1 place", "2 places", "11 places"]
+        );
+    }
 }

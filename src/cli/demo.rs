@@ -8,7 +8,7 @@ use clap::Args;
 use loci::recognition::Decision;
 use loci::telemetry::{FrameRecord, JsonLines, RecognitionSink, TelemetryError};
 
-use super::console::{Reporter, summary_text};
+use super::console::{Reporter, outcome, summary_text};
 use super::settings::StreamSettings;
 use super::{Outcome, stream};
 
@@ -53,7 +53,7 @@ pub(super) fn run(arguments: DemoArguments) -> anyhow::Result<Outcome> {
     } else {
         writeln!(std::io::stdout(), "{text}")?;
     }
-    Ok(if summary.lost_something() { Outcome::Lost } else { Outcome::Done })
+    Ok(outcome(&summary))
 }
 
 const NEXT: &str = "Next: loci run FOLDER_OF_IMAGES --map my_map       your own images\n      \

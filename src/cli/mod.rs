@@ -12,6 +12,7 @@ mod evaluate;
 mod map;
 mod run;
 mod settings;
+mod size;
 mod stream;
 mod vocab;
 

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 use loci::telemetry::{JsonLines, RecognitionSink};
 
-use super::console::{HumanLines, Reporter, summary_text};
+use super::console::{HumanLines, Reporter, counted, outcome, summary_text};
 use super::settings::StreamSettings;
 use super::{Outcome, stream};
 
@@ -48,7 +48,7 @@ pub(super) fn run(arguments: RunArguments) -> anyhow::Result<Outcome> {
     reporter.finish();
     eprintln!("{}", summary_text(&summary));
     if summary.frames == 0 && summary.skipped > 0 {
-        anyhow::bail!("none of the {} frames could be read", summary.skipped);
+        anyhow::bail!("none of {} could be read", counted(summary.skipped, "frame"));
     }
-    Ok(if summary.lost_something() { Outcome::Lost } else { Outcome::Done })
+    Ok(outcome(&summary))
 }

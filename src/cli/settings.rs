@@ -8,12 +8,12 @@ use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-use bytesize::ByteSize;
 use clap::Args;
 use loci::place_map::Durability;
 use serde::Deserialize;
 
 use super::WrongArgument;
+use super::size::Size;
 
 /// Settings of a stream; what is not set anywhere is `None`.
 #[derive(Args, Clone, Debug, Default, Deserialize, PartialEq)]
@@ -28,10 +28,12 @@ pub(super) struct StreamSettings {
     pub(super) durability: Option<Durability>,
     /// Most bytes of the map's folder; what tells least is given up [default: 4GiB]
     #[arg(long, env = "LOCI_MAP_DISK", value_name = "SIZE")]
-    pub(super) map_disk: Option<ByteSize>,
-    /// Most memory of the keyframes that are searched; places not seen for long wait on the disk [default: 256MiB]
+    pub(super) map_disk: Option<Size>,
+    /// Most memory of what is searched and known of the map: index and CNN descriptors of the keyframes that are
+    /// searched, places and experiences. The keyframes always get a quarter of it; places not seen for long wait on
+    /// the disk [default: 256MiB]
     #[arg(long, env = "LOCI_MAP_MEMORY", value_name = "SIZE")]
-    pub(super) map_memory: Option<ByteSize>,
+    pub(super) map_memory: Option<Size>,
     /// Visual vocabulary; given again, a set that is switched by light [env: LOCI_VOCAB=, parted by ':']
     /// [default: vocab/default.lvoc]
     #[arg(long, value_name = "FILE")]
@@ -74,7 +76,7 @@ impl StreamSettings {
         let text = fs::read_to_string(path)
             .map_err(|error| WrongArgument(format!("cannot read --config {}: {error}", path.display())))?;
         let file: Self = toml::from_str(&text)
-            .map_err(|error| WrongArgument(format!("{}: {}", path.display(), one_line(&error))))?;
+            .map_err(|error| WrongArgument(format!("{}{}", path.display(), one_line(&error, &text))))?;
         Ok(self.or(file))
     }
 
@@ -103,8 +105,11 @@ fn vocabularies_in(variable: Option<OsString>) -> Vec<PathBuf> {
     names.filter(|name| !name.as_os_str().is_empty()).collect()
 }
 
-fn one_line(error: &toml::de::Error) -> String {
-    error.message().split_whitespace().collect::<Vec<_>>().join(" ")
+/// What is wrong with the file's `text`, behind the file's name.
+fn one_line(error: &toml::de::Error, text: &str) -> String {
+    let before = error.span().and_then(|span| text.get(..span.start));
+    let line = before.map_or(String::new(), |before| format!(", line {}", before.matches('\n').count() + 1));
+    format!("{line}: {}", error.message().split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
 #[cfg(test)]
@@ -138,6 +143,15 @@ mod tests {
     fn an_unknown_key_is_refused_by_name() {
         let error = completed(StreamSettings::default(), "place-intervall = 2").unwrap_err();
         assert!(error.is::<WrongArgument>());
-        assert!(error.to_string().contains("unknown field `place-intervall`"), "{error}");
+        assert!(error.to_string().contains("loci.toml, line 1: unknown field `place-intervall`"), "{error}");
+    }
+
+    #[test]
+    fn a_size_may_be_text_or_a_number_and_what_is_none_is_refused_with_its_line() {
+        let settings = completed(StreamSettings::default(), "map-disk = \"64MiB\"\nmap-memory = 7").unwrap();
+        assert_eq!([settings.map_disk, settings.map_memory].map(|size| size.unwrap().bytes()), [64 << 20, 7]);
+        let error = completed(StreamSettings::default(), "threads = 2\nmap-disk = \"banana\"").unwrap_err();
+        let reason = "loci.toml, line 2: expected a size such as 64MiB or 1.5GB, got banana";
+        assert!(error.to_string().ends_with(reason), "{error}");
     }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use bytesize::ByteSize;
-use loci::cnn::{CnnError, DescriptorModel, OnnxRuntime, RuntimeVersion};
+use loci::cnn::{CnnError, DescriptorModel, ModelCard, OnnxRuntime, RuntimeVersion};
 use loci::feature::{OrbExtractor, OrbOptions};
 use loci::pipeline::Pipeline;
 use loci::place_map::{MapError, MapOptions, PlaceMap};
@@ -13,11 +13,13 @@ use loci::source;
 use loci::telemetry::RecognitionSink;
 use loci::vocabulary::VocabularySet;
 
+use super::console::counted;
 use super::settings::StreamSettings;
+use super::size::Size;
 use super::{WrongArgument, assets};
 
-/// Smallest `--map-disk`.
-const MIN_MAP_DISK: ByteSize = ByteSize::mib(1);
+/// Smallest `--map-disk` and `--map-memory`: below, a map is too small to be one.
+const MIN_MAP_SIZE: ByteSize = ByteSize::mib(1);
 /// Most bytes of a map that is gone at the end.
 const MAX_MEMORY_MAP_BYTES: u64 = 1 << 30;
 
@@ -28,22 +30,16 @@ pub(super) fn pipeline(
     mut sinks: Vec<Box<dyn RecognitionSink>>,
 ) -> anyhow::Result<Pipeline> {
     let rerun = rerun_target(settings.rerun.as_deref())?;
+    let (options, map_options) = (recognition_options(settings)?, map_options(settings)?);
     let sample_interval = settings.sample_interval.map(|interval| u64::from(interval.get()));
     let source = source::open(source, sample_interval)?;
     let vocabularies = VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?;
     let model = open_cnn(settings)?.map(|(model, _)| model);
-    let options = recognition_options(settings);
-    let (map, unwritable) = open_map(settings, options.read_only)?;
+    let (map, unwritable) = open_map(settings, map_options, options.read_only)?;
     report_condition(&map);
     let card = model.as_ref().map(|model| model.card().clone());
     let mut recogniser = Recogniser::new(Arc::new(vocabularies), map, card, options)?;
-    if let (1.., Some(model)) = (recogniser.foreign_descriptors(), &model) {
-        eprintln!(
-            "loci: {} keyframes have CNN descriptors of another model than {}; they are found by BoW+HV alone",
-            recogniser.foreign_descriptors(),
-            model.card().name
-        );
-    }
+    report_foreign_descriptors(&recogniser, model.as_ref().map(DescriptorModel::card));
     if let Some(unwritable) = unwritable {
         recogniser.read_only_because(unwritable);
     }
@@ -53,8 +49,11 @@ pub(super) fn pipeline(
 }
 
 /// The map of `settings`; where there is one but its folder cannot be written, for reading, with the reason.
-fn open_map(settings: &StreamSettings, is_read_only: bool) -> anyhow::Result<(PlaceMap, Option<MapError>)> {
-    let options = map_options(settings)?;
+fn open_map(
+    settings: &StreamSettings,
+    options: MapOptions,
+    is_read_only: bool,
+) -> anyhow::Result<(PlaceMap, Option<MapError>)> {
     match (&settings.map, is_read_only) {
         (Some(folder), true) => Ok((PlaceMap::open_read_only(folder)?, None)),
         (Some(folder), false) => match PlaceMap::open(folder, options) {
@@ -75,22 +74,30 @@ fn open_map(settings: &StreamSettings, is_read_only: bool) -> anyhow::Result<(Pl
 
 pub(super) fn map_options(settings: &StreamSettings) -> anyhow::Result<MapOptions> {
     let defaults = MapOptions::default();
-    let disk_bytes = settings.map_disk.map_or(defaults.disk_bytes, |size| size.as_u64());
-    if disk_bytes < MIN_MAP_DISK.as_u64() {
-        return Err(WrongArgument(format!("--map-disk must be at least {MIN_MAP_DISK}")).into());
-    }
+    let disk_bytes = bytes_of("--map-disk", settings.map_disk)?.unwrap_or(defaults.disk_bytes);
     Ok(MapOptions { durability: settings.durability.unwrap_or_default(), disk_bytes, ..defaults })
 }
 
-pub(super) fn recognition_options(settings: &StreamSettings) -> RecognitionOptions {
+/// The size that `flag` was given, unless no map would fit into it.
+fn bytes_of(flag: &str, size: Option<Size>) -> Result<Option<u64>, WrongArgument> {
+    match size.map(Size::bytes) {
+        Some(bytes) if bytes < MIN_MAP_SIZE.as_u64() => {
+            Err(WrongArgument(format!("{flag} must be at least 1MiB, not {}", ByteSize(bytes))))
+        }
+        bytes => Ok(bytes),
+    }
+}
+
+pub(super) fn recognition_options(settings: &StreamSettings) -> anyhow::Result<RecognitionOptions> {
     let defaults = RecognitionOptions::default();
-    RecognitionOptions {
+    let memory_bytes = bytes_of("--map-memory", settings.map_memory)?;
+    Ok(RecognitionOptions {
         place_interval: settings.place_interval.unwrap_or(defaults.place_interval),
         read_only: settings.read_only.unwrap_or(defaults.read_only),
         grow_vocabulary: settings.grow_vocabulary.unwrap_or(defaults.grow_vocabulary),
-        memory_bytes: settings.map_memory.map_or(defaults.memory_bytes, |size| size.as_u64() as usize),
+        memory_bytes: memory_bytes.map_or(defaults.memory_bytes, |bytes| bytes as usize),
         ..defaults
-    }
+    })
 }
 
 /// The CNN of `settings` and the runtime that runs it; `None`, said loudly, where no ONNX Runtime can run it.
@@ -120,11 +127,23 @@ pub(super) fn eyes(
     Ok((loci::evaluation::Eyes { extractor, vocabularies, model }, version))
 }
 
+/// Says how many keyframes cannot be compared by the model of `card`.
+pub(super) fn report_foreign_descriptors(recogniser: &Recogniser, card: Option<&ModelCard>) {
+    let (count @ 1.., Some(card)) = (recogniser.foreign_descriptors(), card) else { return };
+    let (verb, pronoun) = if count == 1 { ("has", "it is") } else { ("have", "they are") };
+    eprintln!(
+        "loci: {} {verb} CNN descriptors of another model than {}; {pronoun} found by BoW+HV alone",
+        counted(count, "keyframe"),
+        card.name
+    );
+}
+
 /// Says what a user would want to know of a map before a run.
 fn report_condition(map: &PlaceMap) {
     let torn_bytes = map.summary().torn_bytes;
     if torn_bytes > 0 {
-        eprintln!("loci: the map's last record was torn ({torn_bytes} bytes) and is left out");
+        let torn = counted(torn_bytes, "byte");
+        eprintln!("loci: the map's last record was torn ({torn}) and is left out");
     }
     if let Some(fault) = map.snapshot_fault() {
         eprintln!("loci: the journal was read from its beginning: {fault}");

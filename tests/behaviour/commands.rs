@@ -2,8 +2,9 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
-use crate::program::{loci, loci_with_vocabulary_variable, text};
+use crate::program::{finished, loci, loci_with_vocabulary_variable, text};
 
 #[test]
 fn commands_that_are_not_built_say_so_and_fail() {
@@ -48,6 +49,32 @@ fn wrong_arguments_end_with_2() {
     loci(&["run", "synthetic:street", "--read-only"]).assert_failed(2, &["--map"]);
     loci(&["run", "synthetic:street", "--rerun", "paint"]).assert_failed(2, &["save=FILE.rrd"]);
     loci(&["run", "synthetic:street", "--config", "/none.toml"]).assert_failed(2, &["/none.toml"]);
+}
+
+#[test]
+fn sizes_that_are_none_or_too_small_are_refused_wherever_they_stand() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("loci.toml");
+    let run = |arguments: &[&str]| loci(&[&["run", "synthetic:street?laps=1&frames=1"], arguments].concat());
+    let run_with = |variable: &str, value: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_loci"));
+        finished(command.args(["run", "synthetic:street?laps=1&frames=1"]).env(variable, value))
+    };
+    for (flag, variable) in [("--map-disk", "LOCI_MAP_DISK"), ("--map-memory", "LOCI_MAP_MEMORY")] {
+        fs::write(&config, format!("threads = 1\n{} = \"banana\"", &flag[2..])).unwrap();
+        run(&["--config", text(&config)]).assert_failed(2, &["loci.toml, line 2", "a size such as 64MiB"]);
+        for refused in [run(&[flag, "banana"]), run_with(variable, "banana")] {
+            assert_eq!(refused.code, 2);
+            let reason =
+                format!("'banana' for '{flag} <SIZE>': expected a size such as 64MiB or 1.5GB, got banana\n");
+            assert!(refused.stderr.contains(&reason), "{}", refused.stderr);
+        }
+        fs::write(&config, format!("{} = 1", &flag[2..])).unwrap();
+        for refused in [run(&[flag, "1"]), run_with(variable, "1"), run(&["--config", text(&config)])] {
+            refused.assert_failed(2, &[flag, "at least 1MiB"]);
+        }
+        assert_eq!(run(&[flag, "1MiB"]).code, 0);
+    }
 }
 
 #[test]

@@ -5,6 +5,7 @@ mod commands;
 #[cfg(feature = "evaluation")]
 mod evaluate;
 mod map_care;
+mod map_merge;
 mod misfortune;
 mod program;
 mod real_sequences;

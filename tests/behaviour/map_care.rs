@@ -33,7 +33,7 @@ fn features() -> Features {
 }
 
 /// Learns a look at `place`, or at a new one; every second one is a keyframe with a pose.
-fn learn(map: &mut PlaceMap, place: Option<u32>, index: u64, name: &str) {
+pub(crate) fn learn(map: &mut PlaceMap, place: Option<u32>, index: u64, name: &str) {
     let is_keyframe = index.is_multiple_of(2);
     let pose = Pose { position_metres: [1.5, -2.0, index as f64], orientation: [0.0, 0.0, 0.6, 0.8] };
     let frame = Frame {
@@ -59,7 +59,7 @@ fn learn(map: &mut PlaceMap, place: Option<u32>, index: u64, name: &str) {
 }
 
 /// A map of three places, the second merged into the first, the third with a strange name; its snapshot written.
-fn map() -> (TempDir, PathBuf) {
+pub(crate) fn map() -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("site");
     let mut map = PlaceMap::open(&path, MapOptions::default()).unwrap();
@@ -85,7 +85,7 @@ fn opened(path: &Path) -> PlaceMap {
     attempts.find(is_open).expect("the lock is never free").unwrap()
 }
 
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+pub(crate) fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let paths = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     paths.map(|path| (path.clone(), fs::read(path).unwrap())).collect()
 }
@@ -94,6 +94,12 @@ fn flip(path: &Path, position: usize) {
     let mut bytes = fs::read(path).unwrap();
     bytes[position] ^= 1;
     fs::write(path, bytes).unwrap();
+}
+
+/// Adds what a power cut may leave of a record to the map's journal.
+pub(crate) fn tear(map: &Path) {
+    let journal = map.join(JOURNAL);
+    fs::write(&journal, [fs::read(&journal).unwrap(), vec![1; 99]].concat()).unwrap();
 }
 
 /// Runs `loci map COMMAND MAP ARGUMENTS` and gives the JSON object on stdout.
@@ -114,7 +120,7 @@ fn info_counts_places_experiences_and_bytes() {
     assert_eq!(bytes("journal_bytes"), fs::metadata(map.join(JOURNAL)).unwrap().len());
     assert!(bytes("live_bytes") < bytes("journal_bytes") && bytes("snapshot_bytes") > 0, "{info}");
     let said = loci(&["map", "info", text(&map)]).stdout;
-    for part in ["2 (1 named), 1 others", "4 (2 keyframes)", "1 segments", "snapshot"] {
+    for part in ["2 (1 named), 1 other merged", "4 (2 keyframes)", "1 segment,", "snapshot"] {
         assert!(said.contains(part), "no '{part}' in: {said}");
     }
     flip(&map.join("snapshot.loci"), 40);
@@ -188,14 +194,21 @@ fn damage_is_listed_with_file_and_byte_also_where_the_map_does_not_open() {
 
 #[test]
 fn a_torn_tail_ends_with_3() {
-    let (_folder, map) = map();
-    fs::write(map.join(JOURNAL), [fs::read(map.join(JOURNAL)).unwrap(), vec![1; 99]].concat()).unwrap();
+    let (folder, map) = map();
+    tear(&map);
     let verified = loci(&["map", "verify", text(&map), "--json"]);
     assert_eq!((verified.code, verified.stderr.lines().count()), (3, 1), "{}", verified.stderr);
     let report = &verified.records()[0];
     assert_eq!((&report["damaged"], &report["problems"][0]["torn_tail"]), (&false.into(), &true.into()));
     let info = loci(&["map", "info", text(&map), "--json"]);
     assert_eq!((info.code, &info.records()[0]["torn_bytes"]), (3, &99.into()));
+    assert!(info.stderr.contains("site: 99 bytes of a torn last record"), "{}", info.stderr);
+    let export = loci(&["map", "export", text(&map), "--out", text(&folder.path().join("out.csv"))]);
+    assert_eq!(export.code, 3, "{}", export.stderr);
+    let renamed = loci(&["map", "rename", text(&map), "0", "dock"]);
+    assert!(renamed.code == 3 && renamed.stderr.contains("99 bytes"), "{}", renamed.stderr);
+    assert_eq!(loci(&["map", "rename", text(&map), "0", "quay"]).code, 0, "it was cut off");
+    tear(&map);
     let compacted = loci(&["map", "compact", text(&map)]);
     assert!(compacted.code == 3 && compacted.stderr.contains("99 bytes"), "{}", compacted.stderr);
     assert_eq!(loci(&["map", "verify", text(&map)]).code, 0);
@@ -380,9 +393,28 @@ fn an_export_replaces_neither_devices_nor_the_map_itself() {
     export(Path::new("/dev/null")).assert_failed(1, &["/dev/null", "a device"]);
     export(&folder.path().join("gone/out.json")).assert_failed(1, &["cannot write", "gone/out.json"]);
     export(folder.path()).assert_failed(1, &["cannot write"]);
-    export(&map.join(JOURNAL)).assert_failed(2, &[JOURNAL, "name a file elsewhere"]);
+    export(&map.join(JOURNAL)).assert_failed(2, &["--out", JOURNAL, "choose another folder"]);
     assert!(files(&map) == before);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left behind");
+}
+
+#[test]
+fn thumbnails_do_not_go_into_the_map_however_its_folder_is_spelt() {
+    let (folder, map) = map();
+    let before = files(&map);
+    let link = folder.path().join("link");
+    std::os::unix::fs::symlink(&map, &link).unwrap();
+    let out = folder.path().join("out.csv");
+    let export = |pictures: &Path| {
+        loci(&["map", "export", text(&map), "--out", text(&out), "--thumbnails", text(pictures)])
+    };
+    let below = ["", ".", "new", "new/newer", "gone/..", "../site"];
+    for pictures in [&map, &link].into_iter().flat_map(|map| below.map(|below| map.join(below))) {
+        export(&pictures).assert_failed(2, &["--thumbnails", "lies in the map", "choose another folder"]);
+    }
+    assert!(files(&map) == before && !out.exists());
+    assert_eq!(export(&map.join("../pictures")).code, 0);
+    assert!(folder.path().join("pictures/000003.jpg").exists());
 }
 
 #[test]
@@ -452,6 +484,21 @@ fn names_that_would_confuse_are_refused() {
 }
 
 #[test]
+fn the_name_of_a_merged_place_leads_to_what_it_became_until_another_one_is_called_so() {
+    let (_folder, path) = map();
+    let mut map = opened(&path);
+    map.split_place(PlaceId(1)).unwrap();
+    map.name_place(PlaceId(0), "dock").unwrap();
+    map.name_place(PlaceId(1), "yard").unwrap();
+    map.merge_places(PlaceId(1), PlaceId(0)).unwrap();
+    drop(map);
+    assert_eq!(json("rename", &path, &["yard", "quay"])["place"], 0);
+    assert_eq!(json("rename", &path, &["2", "yard"])["place"], 2);
+    assert_eq!(json("rename", &path, &["yard", "hall"])["place"], 2);
+    loci(&["map", "rename", text(&path), "2", "quay"]).assert_failed(1, &["place 0 is called", "already"]);
+}
+
+#[test]
 fn a_name_that_two_places_have_needs_the_number() {
     let (_folder, path) = map();
     let mut map = opened(&path);
@@ -512,32 +559,4 @@ fn a_damaged_map_is_neither_named_nor_compacted_nor_changed() {
         loci(&line).assert_failed(1, &[JOURNAL, "is damaged"]);
     }
     assert_eq!(fs::metadata(&journal).unwrap().len(), 100);
-}
-
-#[test]
-fn two_drives_through_one_street_become_one_map_and_stay_as_they_are() {
-    let folder = tempfile::tempdir().unwrap();
-    let [first, second, both] = ["a", "b", "both"].map(|name| folder.path().join(name).display().to_string());
-    for (map, light) in [(&first, "noon"), (&second, "dusk")] {
-        let world = format!("synthetic:street?laps=1&light={light}&frames=30&seed=21");
-        assert_eq!(loci(&["run", world.as_str(), "--map", map]).code, 0);
-    }
-    let before = [&first, &second].map(|map| loci(&["map", "export", map, "--out", "-"]).stdout);
-    let planned = loci(&["map", "merge", &first, &second, "--dry-run"]);
-    assert!(planned.stdout.contains(" of B is place ") && planned.stdout.contains("nothing was written"));
-    let merged = loci(&["map", "merge", &first, &second, "--out", &both, "--json"]);
-    assert_eq!(merged.code, 0, "{}", merged.stderr);
-    let report: Value = serde_json::from_str(&merged.stdout).unwrap();
-    let joins = report["joins"].as_array().unwrap();
-    assert!(joins.len() >= 2, "{report}");
-    assert!(joins.iter().all(|join| join["matched_keyframes"].as_u64() > Some(0)), "{report}");
-    let map = PlaceMap::open_read_only(Path::new(&both)).unwrap();
-    let of = |path: &str| PlaceMap::open_read_only(Path::new(path)).unwrap().summary();
-    let (a, b, summary) = (of(&first), of(&second), map.summary());
-    assert_eq!(summary.places, a.places + b.places - joins.len());
-    assert_eq!(summary.experiences, a.experiences + b.experiences);
-    assert_eq!([&first, &second].map(|map| loci(&["map", "export", map, "--out", "-"]).stdout), before);
-    assert_eq!(loci(&["map", "verify", &both]).code, 0);
-    let again = loci(&["map", "merge", &first, &second, "--out", &both]);
-    assert_eq!((again.code, again.stderr.contains("is there already")), (2, true), "{}", again.stderr);
 }

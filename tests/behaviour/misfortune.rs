@@ -13,6 +13,7 @@ use loci::place_map::{MapOptions, NewExperience, PlaceMap};
 use loci::raster::{GreyImage, RgbImage};
 use serde_json::Value;
 
+use crate::map_care::tear;
 use crate::program::{Finished, finished, loci, text};
 
 const LOCI: &str = env!("CARGO_BIN_EXE_loci");
@@ -81,7 +82,7 @@ fn on_a_full_disk_the_robot_keeps_what_it_learnt_and_goes_on_recognising() {
     for part in ["journal-000001.loci", "too large", "going on read-only, nothing more is learnt"] {
         assert!(said[0].contains(part), "no '{part}' in: {said:?}");
     }
-    assert!(run.stderr.contains("1 failures of the map"), "{}", run.stderr);
+    assert!(run.stderr.contains("1 failure of the map"), "{}", run.stderr);
     let records = run.records();
     assert_eq!(records.len(), 60, "a line a frame");
     let kept = learnt(&records);
@@ -158,6 +159,27 @@ fn a_robot_whose_map_is_deleted_under_it_says_so_and_acknowledges_nothing_more()
         assert_eq!(learnt(last), 0, "acknowledged though there is no file");
         assert!(recognised(last) > 0, "{:?}", run.decisions());
     }
+}
+
+#[test]
+fn a_run_that_leaves_out_or_cuts_off_a_torn_record_says_so_and_ends_with_3() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let run = |arguments: &[&str]| {
+        loci(&[&["run", "synthetic:street?laps=1&frames=3", "--map", text(&map)], arguments].concat())
+    };
+    assert_eq!(run(&[]).code, 0);
+    tear(&map);
+    let torn = contents(&map);
+    for arguments in [&["--read-only"][..], &[]] {
+        assert!(contents(&map) == torn, "a reader mends nothing");
+        let ended = run(arguments);
+        assert_eq!(ended.code, 3, "{}", ended.stderr);
+        let said = complaints(&ended);
+        assert_eq!(said, ["loci: the map's last record was torn (99 bytes) and is left out"]);
+    }
+    let mended = run(&[]);
+    assert_eq!((mended.code, complaints(&mended)), (0, Vec::new()), "{}", mended.stderr);
 }
 
 #[test]

@@ -3,12 +3,12 @@
 use std::num::NonZero;
 use std::path::PathBuf;
 
-use bytesize::ByteSize;
 use clap::{Args, ValueHint};
 use loci::evaluation::{ExperimentSpec, FramesSpec, TruthSettings};
 
 use crate::cli::WrongArgument;
 use crate::cli::settings::StreamSettings;
+use crate::cli::size::Size;
 
 /// The suite that is run when none is named.
 pub(super) const SUITE: &str = "tests/suite/suite.toml";
@@ -149,10 +149,12 @@ struct SettingArguments {
     place_interval: Option<u32>,
     /// Most bytes of the robot's map; what tells least is given up [default: no bound]
     #[arg(long, env = "LOCI_MAP_DISK", value_name = "SIZE")]
-    map_disk: Option<ByteSize>,
-    /// Most memory of the keyframes that are searched; places not seen for long wait on the disk [default: 256MiB]
+    map_disk: Option<Size>,
+    /// Most memory of what is searched and known of the map: index and CNN descriptors of the keyframes that are
+    /// searched, places and experiences. The keyframes always get a quarter of it; places not seen for long wait on
+    /// the disk [default: 256MiB]
     #[arg(long, env = "LOCI_MAP_MEMORY", value_name = "SIZE")]
-    map_memory: Option<ByteSize>,
+    map_memory: Option<Size>,
     /// Learn words online where the vocabulary covers what is seen badly; the map does, frames do not
     #[arg(long, env = "LOCI_GROW_VOCABULARY", num_args = 0..=1, require_equals = true,
           default_missing_value = "true", value_name = "BOOL")]

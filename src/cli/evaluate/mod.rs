@@ -96,7 +96,7 @@ fn evaluate(
             plan.name
         );
     }
-    let options = stream::recognition_options(settings);
+    let options = stream::recognition_options(settings)?;
     let threads = settings.threads.map_or(1, NonZero::get);
     let backend = match runtime {
         Some(version) => {

@@ -2,25 +2,28 @@
 
 use std::path::PathBuf;
 
-use bytesize::ByteSize;
 use clap::Args;
 use loci::place_map::PlaceMap;
 use serde::Serialize;
 
-use crate::cli::console::{say, spinner};
+use super::report_cut_off;
+use crate::cli::console::{counted, say, spinner};
 use crate::cli::settings::StreamSettings;
+use crate::cli::size::Size;
 use crate::cli::{Outcome, stream};
 
 /// Arguments of `loci map compact`.
 #[derive(Args)]
 #[command(after_help = "Example:\n  loci map compact maps/site\n\n\
-    Nothing is lost if it is interrupted. While it runs, the map takes up to twice its size.")]
+    Nothing is lost if it is interrupted. While it runs, the map takes up to twice its size, and no run can write \
+    it. A torn last record is cut off; the exit code is then 3.")]
 pub(in crate::cli) struct CompactArguments {
     /// Folder of the map
     map: PathBuf,
-    /// Most bytes that runs give the map's folder: it decides how long the journal's segments are [default: 4GiB]
+    /// The --map-disk of the runs with this map: it says how long the journal's segments become, and nothing is given
+    /// up for it [default: 4GiB]
     #[arg(long, env = "LOCI_MAP_DISK", value_name = "SIZE")]
-    map_disk: Option<ByteSize>,
+    map_disk: Option<Size>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -46,11 +49,7 @@ pub(super) fn run(arguments: &CompactArguments) -> anyhow::Result<Outcome> {
     let Report { bytes_before, bytes_after } = report;
     say(&match arguments.json {
         true => serde_json::to_string(&report)?,
-        false => format!("journal  {bytes_before} bytes before, {bytes_after} after"),
+        false => format!("journal  {} before, {bytes_after} after", counted(bytes_before, "byte")),
     })?;
-    if before.torn_bytes == 0 {
-        return Ok(Outcome::Done);
-    }
-    eprintln!("loci: {} bytes of a torn last record were cut off", before.torn_bytes);
-    Ok(Outcome::Lost)
+    Ok(report_cut_off(before.torn_bytes))
 }

@@ -9,11 +9,12 @@ use serde::Serialize;
 
 use super::report_torn_tail;
 use crate::cli::Outcome;
-use crate::cli::console::say;
+use crate::cli::console::{counted, say};
 
 /// Arguments of `loci map info`.
 #[derive(Args)]
-#[command(after_help = "Examples:\n  loci map info maps/site\n  loci map info maps/site --json")]
+#[command(after_help = "Examples:\n  loci map info maps/site\n  loci map info maps/site --json\n\n\
+    A run may write the map meanwhile. The exit code is 3 where the last record is torn.")]
 pub(in crate::cli) struct InfoArguments {
     /// Folder of the map
     map: PathBuf,
@@ -68,7 +69,7 @@ pub(super) fn run(arguments: &InfoArguments) -> anyhow::Result<Outcome> {
         models: map.models()?,
     };
     say(&if arguments.json { serde_json::to_string(&info)? } else { info.to_string() })?;
-    Ok(report_torn_tail(&map))
+    Ok(report_torn_tail(&map, &arguments.map))
 }
 
 impl fmt::Display for Info {
@@ -76,10 +77,12 @@ impl fmt::Display for Info {
         let Self { known, files, .. } = self;
         writeln!(f, "map          {}", self.map)?;
         let Known { places, named_places, merged_places, .. } = known;
-        writeln!(f, "places       {places} ({named_places} named), {merged_places} others merged into them")?;
-        writeln!(f, "experiences  {} ({} keyframes)", known.experiences, known.keyframes)?;
+        let merged = counted(merged_places, "other");
+        writeln!(f, "places       {places} ({named_places} named), {merged} merged into them")?;
+        writeln!(f, "experiences  {} ({})", known.experiences, counted(known.keyframes, "keyframe"))?;
         let Files { segments, journal_bytes, live_bytes, snapshot_bytes, .. } = files;
-        writeln!(f, "journal      {journal_bytes} bytes in {segments} segments, {live_bytes} of them count")?;
+        let (bytes, segments) = (counted(journal_bytes, "byte"), counted(segments, "segment"));
+        writeln!(f, "journal      {bytes} in {segments}, {live_bytes} of them count")?;
         match (&files.snapshot_fault, snapshot_bytes) {
             (Some(fault), _) => write!(f, "snapshot     not used: {fault}")?,
             (None, 0) => write!(f, "snapshot     none; the next run writes one")?,

@@ -3,17 +3,19 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use bytesize::ByteSize;
 use clap::Args;
 use loci::cnn::{CARD_FILE, ModelCard};
-use loci::place_map::{Durability, MapError, MapOptions, MapSummary, PlaceId, PlaceMap};
+use loci::place_map::{Durability, MapOptions, MapSummary, PlaceId, PlaceMap};
 use loci::recognition::{Join, Recogniser, RecognitionOptions};
 use loci::vocabulary::VocabularySet;
 use serde::Serialize;
 
-use crate::cli::console::{say, spinner};
+use super::{folder_of, refuse_inside, report_torn_tail};
+use crate::cli::console::{counted, say, spinner};
 use crate::cli::settings::StreamSettings;
+use crate::cli::size::Size;
 use crate::cli::{Outcome, WrongArgument, assets, stream};
 
 /// Arguments of `loci map merge`.
@@ -22,13 +24,17 @@ use crate::cli::{Outcome, WrongArgument, assets, stream};
     loci map merge maps/robot1 maps/robot2 --dry-run\n  \
     loci map merge maps/robot1 maps/robot2 --out maps/both\n\n\
     Both maps stay as they are: to undo a merge, delete what it made. Places of A keep their numbers; place n of B \
-    becomes n plus the number of places of A, and that number goes on meaning it where it turned out to be one of A.")]
+    becomes n plus the number of places of A, those that were merged into others counted, and that number goes on \
+    meaning it where it turned out to be one of A. Experiences are numbered anew. A name that only the place of B has \
+    goes along; where both have one, A's stays.\n\n\
+    Keyframes are compared by the CNN descriptors that the maps hold, and by geometry; where the model's folder is \
+    missing, by geometry alone.")]
 pub(in crate::cli) struct MergeArguments {
     /// The map whose places keep their numbers
     a: PathBuf,
     /// The map whose places are recognised in it
     b: PathBuf,
-    /// Folder of the map that is made; it must not be there yet
+    /// Folder of the map that is made, needed unless --dry-run; it must not be there yet, nor lie in A or B
     #[arg(long, value_name = "DIR", required_unless_present = "dry_run")]
     out: Option<PathBuf>,
     /// Only list which places would be joined, and why
@@ -37,12 +43,13 @@ pub(in crate::cli) struct MergeArguments {
     /// Visual vocabulary; given again, a set that is switched by light [default: vocab/default.lvoc]
     #[arg(long, value_name = "FILE")]
     vocab: Vec<PathBuf>,
-    /// Folder of the CNN whose descriptors the maps hold [default: models/efficientnet-lite0]
+    /// Folder of the CNN whose descriptors the maps hold; only its card is read [default:
+    /// models/efficientnet-lite0]
     #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]
     model: Option<PathBuf>,
     /// Most bytes of the map that is made; what tells least is given up [default: 4GiB]
     #[arg(long, env = "LOCI_MAP_DISK", value_name = "SIZE")]
-    map_disk: Option<ByteSize>,
+    map_disk: Option<Size>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -93,17 +100,18 @@ pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
     }
     .completed(None)?;
     let options = MapOptions { durability: Durability::None, ..stream::map_options(&settings)? };
-    if let Some(out) = arguments.out.as_deref().filter(|out| out.exists()) {
-        return Err(WrongArgument(format!("--out {} is there already", out.display())).into());
-    }
+    check_folders(arguments)?;
+    let stop = stream::stop_flag()?;
     let b = PlaceMap::open_read_only(&arguments.b)?;
     let mut recogniser = recogniser(&arguments.a, &settings)?;
+    go_on(&stop)?;
     let spinner = spinner("recognising keyframes of the one in the other");
     let joins = recogniser.joins(&b);
     spinner.finish_and_clear();
     let joins = joins?;
-    let made =
-        arguments.out.as_deref().map(|out| make(out, options, (recogniser.map(), &b), &joins)).transpose()?;
+    go_on(&stop)?;
+    let maps = (recogniser.map(), &b);
+    let made = arguments.out.as_deref().map(|out| make(out, options, maps, &joins, &stop)).transpose()?;
     let report = Report {
         joins: joins.iter().map(JoinLine::from).collect(),
         places: made.as_ref().map(|made| made.places),
@@ -115,32 +123,73 @@ pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
         report.joins.iter().try_for_each(|join| say(&sentence(join)))?;
         say(&conclusion(&report, arguments))?;
     }
-    Ok(Outcome::Done)
+    let torn =
+        [(recogniser.map(), &arguments.a), (&b, &arguments.b)].map(|(map, at)| report_torn_tail(map, at));
+    Ok(if torn.contains(&Outcome::Lost) { Outcome::Lost } else { Outcome::Done })
+}
+
+/// Refuses folders that make no sense: one map given twice, and a new map where there is something already.
+fn check_folders(arguments: &MergeArguments) -> Result<(), WrongArgument> {
+    let MergeArguments { a, b, out, .. } = arguments;
+    if let (Ok(one), Ok(other)) = (a.canonicalize(), b.canonicalize())
+        && one == other
+    {
+        let (a, b) = (a.display(), b.display());
+        return Err(WrongArgument(format!("{a} and {b} are one map; name two different ones")));
+    }
+    let Some(out) = out else { return Ok(()) };
+    let argument = format!("--out {}", out.display());
+    if out.exists() {
+        return Err(WrongArgument(format!("{argument} is there already")));
+    }
+    [a, b].into_iter().try_for_each(|map| refuse_inside(map, folder_of(out), &argument))
+}
+
+/// Fails once the user wants no more of it.
+fn go_on(stop: &AtomicBool) -> anyhow::Result<()> {
+    anyhow::ensure!(!stop.load(Ordering::Relaxed), "interrupted: no map was made");
+    Ok(())
 }
 
 /// What recognises in the map at `folder`, all of whose places are searched. The CNN itself is not needed: the
 /// maps hold its descriptors.
 fn recogniser(folder: &Path, settings: &StreamSettings) -> anyhow::Result<Recogniser> {
     let vocabularies = VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?;
-    let model = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
-    let card = ModelCard::read(&model.join(CARD_FILE))?;
+    let card = card(settings.model.as_deref())?;
     let map = PlaceMap::open_read_only(folder)?;
     let options =
         RecognitionOptions { read_only: true, memory_bytes: usize::MAX, ..RecognitionOptions::default() };
-    Ok(Recogniser::new(Arc::new(vocabularies), map, Some(card), options)?)
+    let recogniser = Recogniser::new(Arc::new(vocabularies), map, card.clone(), options)?;
+    stream::report_foreign_descriptors(&recogniser, card.as_ref());
+    Ok(recogniser)
+}
+
+/// The card of the model `named`, or of the shipped one; where that is missing, geometry goes on without it.
+fn card(named: Option<&Path>) -> anyhow::Result<Option<ModelCard>> {
+    let Some(model) = named.map(Path::to_owned).or_else(|| assets::find_shipped(assets::MODEL)) else {
+        let model = assets::MODEL;
+        eprintln!(
+            "loci: NO CNN, going on with geometry alone: {model} not found here nor beside the program; name it \
+             with --model"
+        );
+        return Ok(None);
+    };
+    Ok(Some(ModelCard::read(&model.join(CARD_FILE))?))
 }
 
 /// Makes the joint map, whole or not at all.
 fn make(
     out: &Path,
     options: MapOptions,
-    (a, b): (&PlaceMap, &PlaceMap),
+    maps: (&PlaceMap, &PlaceMap),
     joins: &[Join],
+    stop: &AtomicBool,
 ) -> anyhow::Result<MapSummary> {
     let mut name = out.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
     let beside = out.with_file_name(name);
-    let made = fill(&beside, options, (a, b), joins).map_err(anyhow::Error::from).and_then(|summary| {
+    let spinner = spinner("writing the map that holds both");
+    let made = fill(&beside, options, maps, joins, stop).and_then(|summary| {
         fs::rename(&beside, out)
             .map_err(|error| anyhow::anyhow!("cannot make {}: {error}", out.display()))?;
         Ok(summary)
@@ -149,6 +198,7 @@ fn make(
         // The failure itself is what matters; a leftover would only add to it.
         let _ = fs::remove_dir_all(&beside);
     }
+    spinner.finish_and_clear();
     made
 }
 
@@ -157,21 +207,28 @@ fn fill(
     options: MapOptions,
     (a, b): (&PlaceMap, &PlaceMap),
     joins: &[Join],
-) -> Result<MapSummary, MapError> {
+    stop: &AtomicBool,
+) -> anyhow::Result<MapSummary> {
     let mut map = PlaceMap::open(folder, options)?;
     map.absorb(a)?;
+    go_on(stop)?;
     let first = map.absorb(b)?;
     for join in joins {
+        go_on(stop)?;
         map.merge_places(PlaceId(first.0 + join.other.0), join.place)?;
     }
     map.close()?;
+    go_on(stop)?;
     Ok(map.summary())
 }
 
 fn sentence(join: &JoinLine) -> String {
     let mut text = format!(
-        "place {} of B is place {} of A: {} of {} keyframes recognised",
-        join.other, join.place, join.matched_keyframes, join.keyframes
+        "place {} of B is place {} of A: {} of {} recognised",
+        join.other,
+        join.place,
+        join.matched_keyframes,
+        counted(join.keyframes, "keyframe")
     );
     if let Some(cosine) = join.cosine {
         text += &format!(", by the CNN up to {cosine:.3}");
@@ -183,11 +240,12 @@ fn sentence(join: &JoinLine) -> String {
 }
 
 fn conclusion(report: &Report, arguments: &MergeArguments) -> String {
-    let joins = report.joins.len();
+    let joins = counted(report.joins.len(), "place");
     match (&arguments.out, report.places, report.experiences) {
         (Some(out), Some(places), Some(experiences)) => {
-            format!("{joins} places joined; {} has {places} places, {experiences} experiences", out.display())
+            let (places, experiences) = (counted(places, "place"), counted(experiences, "experience"));
+            format!("{joins} joined; {} has {places}, {experiences}", out.display())
         }
-        _ => format!("{joins} places would be joined; nothing was written"),
+        _ => format!("{joins} would be joined; nothing was written"),
     }
 }

@@ -7,10 +7,13 @@ mod merge;
 mod rename;
 mod verify;
 
+use std::path::{Component, Path, PathBuf};
+
 use clap::Subcommand;
 use loci::place_map::PlaceMap;
 
-use super::Outcome;
+use super::console::counted;
+use super::{Outcome, WrongArgument};
 
 /// Commands of `loci map`.
 #[derive(Subcommand)]
@@ -41,13 +44,73 @@ pub(super) fn run(command: MapCommand) -> anyhow::Result<Outcome> {
     }
 }
 
-/// Says whether a power cut tore the last record of `map`.
-fn report_torn_tail(map: &PlaceMap) -> Outcome {
-    match map.summary().torn_bytes {
-        0 => Outcome::Done,
-        bytes => {
-            eprintln!("loci: {bytes} bytes of a torn last record; the next run with this map cuts them off");
-            Outcome::Lost
+/// Says whether a power cut tore the last record of `map`, which is only read, from `folder`.
+fn report_torn_tail(map: &PlaceMap, folder: &Path) -> Outcome {
+    let torn_bytes = map.summary().torn_bytes;
+    if torn_bytes == 0 {
+        return Outcome::Done;
+    }
+    let torn = counted(torn_bytes, "byte");
+    eprintln!(
+        "loci: {}: {torn} of a torn last record; the next run with this map cuts them off",
+        folder.display()
+    );
+    Outcome::Lost
+}
+
+/// Says whether a torn last record was cut off when the map was opened for writing.
+fn report_cut_off(torn_bytes: u64) -> Outcome {
+    if torn_bytes == 0 {
+        return Outcome::Done;
+    }
+    eprintln!("loci: cut off from the map: {} of a torn last record", counted(torn_bytes, "byte"));
+    Outcome::Lost
+}
+
+/// Refuses to write into `folder`, as `argument` asks for, if it lies in the folder of `map`, whatever links and
+/// dots lead there.
+fn refuse_inside(map: &Path, folder: &Path, argument: &str) -> Result<(), WrongArgument> {
+    if real_path(folder).starts_with(real_path(map)) {
+        let map = map.display();
+        return Err(WrongArgument(format!("{argument} lies in the map {map} itself; choose another folder")));
+    }
+    Ok(())
+}
+
+/// The folder that a file at `path` stands in.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Where `path` leads once its links are followed, also where its last parts are not there yet.
+fn real_path(path: &Path) -> PathBuf {
+    let mut real = PathBuf::new();
+    for part in std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).components() {
+        match part {
+            Component::ParentDir => drop(real.pop()),
+            part => real.push(part),
+        }
+        real = real.canonicalize().unwrap_or(real);
+    }
+    real
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dots_and_links_lead_to_the_folder_that_they_mean_also_where_nothing_is_yet() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().canonicalize().unwrap();
+        let map = root.join("map");
+        std::fs::create_dir(&map).unwrap();
+        std::os::unix::fs::symlink(&map, root.join("link")).unwrap();
+        for inside in ["map", "map/.", "map/new/newer", "link", "link/new", "gone/../map", "map/gone/.."] {
+            assert!(real_path(&root.join(inside)).starts_with(&map), "{inside}");
+        }
+        for outside in ["", "maps", "map/..", "link/../new", "gone", "map/../gone"] {
+            assert!(!real_path(&root.join(outside)).starts_with(&map), "{outside}");
         }
     }
 }

@@ -7,6 +7,7 @@ use clap::Args;
 use loci::place_map::{MapError, MapOptions, Place, PlaceId, PlaceMap};
 use serde::Serialize;
 
+use super::report_cut_off;
 use crate::cli::console::say;
 use crate::cli::{Outcome, WrongArgument};
 
@@ -16,11 +17,12 @@ const MAX_NAME_CHARS: usize = 200;
 /// Arguments of `loci map rename`.
 #[derive(Args)]
 #[command(after_help = "Examples:\n  loci map rename maps/site 17 \"dock 3\"\n  \
-    loci map rename maps/site \"dock 3\" \"dock 4\"")]
+    loci map rename maps/site \"dock 3\" \"dock 4\"\n\n\
+    Runs say the name with every frame that shows the place. No run may be writing the map meanwhile.")]
 pub(in crate::cli) struct RenameArguments {
     /// Folder of the map
     map: PathBuf,
-    /// The place: its number, or the name that it has; the old number of a merged place will do
+    /// The place: its number or its name; of a place that was merged into another one, the old number or name
     place: String,
     /// Its new name: up to 200 characters, no number, not the name of another place
     name: String,
@@ -53,7 +55,7 @@ pub(super) fn run(arguments: &RenameArguments) -> anyhow::Result<Outcome> {
         true => serde_json::to_string(&report)?,
         false => format!("place {} is called {name:?}{before}", id.0),
     })?;
-    Ok(Outcome::Done)
+    Ok(report_cut_off(map.summary().torn_bytes))
 }
 
 fn check_name(name: &str) -> Result<(), WrongArgument> {
@@ -79,7 +81,7 @@ fn find_place<'a>(map: &'a PlaceMap, text: &str) -> anyhow::Result<&'a Place> {
     if let Some(place) = number.and_then(|number| map.place(number)) {
         return Ok(place);
     }
-    let called = called(map, text);
+    let called = meant_by(map, text);
     match (called.iter().copied().next().and_then(|id| map.place(id)), called.len(), number) {
         (Some(place), 1, _) => Ok(place),
         (_, 0, Some(PlaceId(place))) => Err(MapError::NoPlace { place }.into()),
@@ -91,8 +93,18 @@ fn find_place<'a>(map: &'a PlaceMap, text: &str) -> anyhow::Result<&'a Place> {
     }
 }
 
-/// The places called `name`, each as what it is by now.
+/// The places called `name`. A place that was merged into another one is called what that one is.
 fn called(map: &PlaceMap, name: &str) -> BTreeSet<PlaceId> {
+    let living = map.places().filter(|place| place.merged_into.is_none());
+    living.filter(|place| place.name.as_deref() == Some(name)).map(|place| place.id).collect()
+}
+
+/// The places called `name`, or else what became of those that were called so before they were merged.
+fn meant_by(map: &PlaceMap, name: &str) -> BTreeSet<PlaceId> {
+    let called = called(map, name);
+    if !called.is_empty() {
+        return called;
+    }
     let named = map.places().filter(|place| place.name.as_deref() == Some(name));
     named.filter_map(|place| map.place(place.id)).map(|place| place.id).collect()
 }

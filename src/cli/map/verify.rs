@@ -8,7 +8,7 @@ use loci::place_map::{PlaceMap, Problem, SnapshotState, Verification};
 use serde::Serialize;
 
 use crate::cli::Outcome;
-use crate::cli::console::{progress_bar, say};
+use crate::cli::console::{counted, progress_bar, say};
 
 /// Arguments of `loci map verify`.
 #[derive(Args)]
@@ -68,7 +68,8 @@ pub(super) fn run(arguments: &VerifyArguments) -> anyhow::Result<Outcome> {
 
 fn print(found: &Verification) -> anyhow::Result<()> {
     let Verification { segments, records, bytes, .. } = found;
-    say(&format!("checked   {segments} segments, {records} whole records, {bytes} bytes"))?;
+    let (segments, records) = (counted(segments, "segment"), counted(records, "whole record"));
+    say(&format!("checked   {segments}, {records}, {}", counted(bytes, "byte")))?;
     let snapshot = match found.snapshot {
         SnapshotState::Missing => "none; the journal has everything",
         SnapshotState::Right => "says the same as the journal",
@@ -80,7 +81,7 @@ fn print(found: &Verification) -> anyhow::Result<()> {
         say(&format!("problem   {problem}"))?;
     }
     if found.further_problems > 0 {
-        say(&format!("          and {} problems more", found.further_problems))?;
+        say(&format!("          and {} more", counted(found.further_problems, "problem")))?;
     }
     Ok(())
 }

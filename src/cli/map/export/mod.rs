@@ -15,8 +15,8 @@ use serde::Serialize;
 
 use self::output::Output;
 use self::rows::Rows;
-use super::report_torn_tail;
-use crate::cli::console::say;
+use super::{folder_of, refuse_inside, report_torn_tail};
+use crate::cli::console::{counted, say};
 use crate::cli::{Outcome, WrongArgument, stream};
 
 /// Where an export goes that goes to stdout.
@@ -26,20 +26,23 @@ const STDOUT: &str = "-";
 #[derive(Args)]
 #[command(after_help = "Examples:\n  loci map export maps/site --out site.csv\n  \
     loci map export maps/site --out site.parquet --thumbnails pictures\n  \
-    loci map export maps/site --out - --format json | jq '.places[].name'")]
+    loci map export maps/site --out - --format json | jq '.places[].name'\n\n\
+    A row is an experience; JSON has the places, too. A run may write the map meanwhile. What cannot be read is \
+    skipped and reported; the exit code is then 3.")]
 pub(in crate::cli) struct ExportArguments {
     /// Folder of the map
     map: PathBuf,
-    /// File to write; its ending says the format. - is stdout
+    /// File to write, not in the map; its ending (.json, .csv, .parquet) says the format. - is stdout
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Format, whatever the file's ending [default of stdout: json]
     #[arg(long, value_enum)]
     format: Option<Format>,
-    /// Write the thumbnails as JPEG files into this folder, too; made if need be
+    /// Write the thumbnails, too, as JPEG files into this folder, named by their experiences; made if need be, not in
+    /// the map
     #[arg(long, value_name = "DIR")]
     thumbnails: Option<PathBuf>,
-    /// Print what was written as JSON
+    /// Print as JSON what was written, and where; with --out - nothing but the export is printed
     #[arg(long)]
     json: bool,
 }
@@ -86,9 +89,7 @@ struct Report {
 /// Writes the map's contents.
 pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<Outcome> {
     let format = Format::of(arguments)?;
-    for path in arguments.thumbnails.iter().chain([&arguments.out]) {
-        refuse_inside(&arguments.map, path)?;
-    }
+    refuse_the_map(arguments)?;
     let map = PlaceMap::open_read_only(&arguments.map)?;
     let stop = stream::stop_flag()?;
     let mut output = Output::create(&arguments.out, stop.clone())?;
@@ -113,29 +114,27 @@ pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<Outcome> {
     if arguments.out != Path::new(STDOUT) {
         say(&if arguments.json { serde_json::to_string(&report)? } else { described(&report) })?;
     }
-    let torn = report_torn_tail(&map);
+    let torn = report_torn_tail(&map, &arguments.map);
     Ok(if report.skipped > 0 { Outcome::Lost } else { torn })
 }
 
 fn described(report: &Report) -> String {
     let Report { file, experiences, thumbnails, .. } = report;
+    let exported = format!("exported  {} to {file}", counted(experiences, "experience"));
     match thumbnails {
-        0 => format!("exported  {experiences} experiences to {file}"),
-        _ => format!("exported  {experiences} experiences to {file}, and {thumbnails} thumbnails"),
+        0 => exported,
+        _ => format!("{exported}, and {}", counted(thumbnails, "thumbnail")),
     }
 }
 
 /// An export must not stand among the files of the map, and least of all replace one of them.
-fn refuse_inside(map: &Path, path: &Path) -> Result<(), WrongArgument> {
-    let folder =
-        path.parent().map(|parent| if parent.as_os_str().is_empty() { Path::new(".") } else { parent });
-    let same = |folder: &Path| match (folder.canonicalize(), map.canonicalize()) {
-        (Ok(folder), Ok(map)) => folder == map,
-        _ => false,
-    };
-    if path != Path::new(STDOUT) && folder.is_some_and(same) {
-        let (path, map) = (path.display(), map.display());
-        return Err(WrongArgument(format!("{path} lies in the map {map} itself; name a file elsewhere")));
+fn refuse_the_map(arguments: &ExportArguments) -> Result<(), WrongArgument> {
+    let ExportArguments { map, out, thumbnails, .. } = arguments;
+    if out != Path::new(STDOUT) {
+        refuse_inside(map, folder_of(out), &format!("--out {}", out.display()))?;
     }
-    Ok(())
+    match thumbnails {
+        Some(folder) => refuse_inside(map, folder, &format!("--thumbnails {}", folder.display())),
+        None => Ok(()),
+    }
 }
