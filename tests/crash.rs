@@ -25,7 +25,7 @@ const DURABILITIES: [&str; 3] = ["every", "interval=200ms", "none"];
 const LIVES: usize = 20;
 const WORLDS: u64 = 6;
 const FRAMES_A_WORLD: u32 = 60;
-/// Shares of an undisturbed run after which a run has begun to answer, and after which the kills end: well before it does.
+/// Shares of an undisturbed run: when it has begun to answer, and when the latest kill comes.
 const STARTED: f64 = 0.1;
 const HALF_WAY: f64 = 0.5;
 const SLOWEST_RECOVERY: Duration = Duration::from_secs(1);
