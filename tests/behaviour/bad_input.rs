@@ -56,7 +56,7 @@ fn one_bad_frame_among_many_is_reported_and_skipped() {
         assert_eq!(run.records().len(), 2);
         let skipped: Vec<&str> = run.stderr.lines().filter(|line| line.contains("skipped:")).collect();
         assert!(skipped.len() == 1 && skipped[0].contains(message), "{skipped:?}");
-        assert!(run.stderr.contains("1 frames skipped"), "{}", run.stderr);
+        assert!(run.stderr.contains("1 frame skipped"), "{}", run.stderr);
     }
 }
 
@@ -65,7 +65,7 @@ fn a_folder_of_nothing_but_bad_frames_fails() {
     let folder = folder_with(&[("1.jpg", b"x")]);
     let run = loci(&["run", text(folder.path())]);
     assert_eq!(run.code, 1);
-    assert!(run.stderr.ends_with("loci: none of the 1 frames could be read\n"), "{}", run.stderr);
+    assert!(run.stderr.ends_with("loci: none of 1 frame could be read\n"), "{}", run.stderr);
 }
 
 #[test]
