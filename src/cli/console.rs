@@ -83,9 +83,9 @@ impl Reporter {
 pub(super) fn progress_bar(length: Option<u64>, unit: &str, target: ProgressDrawTarget) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(length, target);
     // The template is tried by every run with a terminal.
-    if let Ok(style) =
-        ProgressStyle::with_template(&format!("{{wide_bar}} {{pos}}/{{len}} {unit}, {{eta}} left"))
-    {
+    if let Ok(style) = ProgressStyle::with_template(&format!(
+        "{{spinner}} {{wide_bar}} {{pos}}/{{len}} {unit}, {{eta}} left"
+    )) {
         bar.set_style(style);
     }
     bar.enable_steady_tick(Duration::from_millis(250));

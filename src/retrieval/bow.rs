@@ -102,6 +102,14 @@ mod tests {
     }
 
     #[test]
+    fn vectors_of_a_dbow3_file_are_those_of_dbow2_but_for_the_digits_of_its_weights() {
+        for (vector, expected) in vectors(DBOW3).iter().map(bag).zip(dbow2_bags()) {
+            assert!(vector.keys().eq(expected.keys()));
+            assert!(vector.iter().all(|(word, value)| (value - expected[word]).abs() < 1e-9));
+        }
+    }
+
+    #[test]
     fn the_index_scores_as_dbow2_does() {
         let vectors = vectors(DBOW3);
         let mut index = InvertedIndex::default();

@@ -15,10 +15,7 @@ use super::folder::{BESIDE_SUFFIX, DiskFolder, Folder, replace};
 /// If the folder cannot be written; the old content is then still there.
 pub fn replace_file(path: &Path, parts: &[&[u8]]) -> Result<(), StorageError> {
     let error = |source| StorageError::Io { action: "write", path: path.to_owned(), source };
-    let Some(name) = path.file_name() else { return Err(error(std::io::ErrorKind::IsADirectory.into())) };
-    let Some(name) = name.to_str() else {
-        return Err(error(std::io::Error::other("its name is not UTF-8")));
-    };
+    let name = name_of(path).map_err(error)?;
     replace(&DiskFolder::new(path.parent().unwrap_or(Path::new(""))), name, parts).map_err(error)
 }
 
@@ -28,9 +25,16 @@ pub fn replace_file(path: &Path, parts: &[&[u8]]) -> Result<(), StorageError> {
 /// # Errors
 /// If no file can be put at `path`.
 pub fn check_replaceable(path: &Path) -> Result<(), StorageError> {
+    name_of(path).map_err(StorageError::io("write", path))?;
     refuse_all_but_files(path)?;
     let beside = beside(path);
     File::create(&beside).and_then(|_| fs::remove_file(&beside)).map_err(StorageError::io("write", path))
+}
+
+/// The name of the file at `path`.
+fn name_of(path: &Path) -> io::Result<&str> {
+    let name = path.file_name().ok_or(io::ErrorKind::IsADirectory)?;
+    name.to_str().ok_or_else(|| io::Error::other("its name is not UTF-8; choose another"))
 }
 
 fn refuse_all_but_files(path: &Path) -> Result<(), StorageError> {
@@ -112,6 +116,9 @@ fn beside(path: &Path) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
     use super::*;
 
     #[test]
@@ -120,6 +127,8 @@ mod tests {
         check_replaceable(&folder.path().join("file")).unwrap();
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
         assert!(check_replaceable(folder.path()).is_err());
+        let nameless = folder.path().join(OsStr::from_bytes(b"\xff.lvoc"));
+        assert!(check_replaceable(&nameless).unwrap_err().to_string().contains("not UTF-8"));
         let message = check_replaceable(&folder.path().join("gone/file")).unwrap_err().to_string();
         assert!(message.starts_with("cannot write ") && message.contains("gone/file"), "{message}");
     }

@@ -15,8 +15,8 @@ const DIRECT_INDEX_LEVEL: u32 = 2;
 /// Largest weight that is believed; ln(N / Nᵢ) of a billion images is 21.
 const MAX_WEIGHT: f64 = 1e6;
 
-/// Bytes by which a foreign format is told.
-const FORMAT_BYTES: usize = 64;
+/// Bytes by which a foreign format is told, compressed or not.
+const FORMAT_BYTES: usize = 512;
 
 /// What the tree says of a descriptor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -130,6 +130,41 @@ fn a_training_does_not_go_on_with_the_file_of_another_one() {
     assert!(!out.exists());
 }
 
+#[test]
+fn an_output_does_not_take_the_place_of_an_input() {
+    let picture = picture();
+    let folder = folder_with(&[("1.jpg", &picture)]);
+    let image = folder.path().join("1.jpg");
+    let video = folder.path().join("drive.mp4");
+    fs::write(&video, b"frames").unwrap();
+    let train = |source: &Path, out: &Path| loci(&["vocab", "train", text(source), "--out", text(out)]);
+    let import = |file: &Path| loci(&["vocab", "import", text(file), "--out", text(file)]);
+    for run in [train(folder.path(), &image), train(&video, &video), import(&video)] {
+        run.assert_failed(2, &["--out", "would replace an input; name another file"]);
+    }
+    assert_eq!((fs::read(image).unwrap(), fs::read(video).unwrap()), (picture, b"frames".to_vec()));
+}
+
+#[test]
+fn a_training_that_is_interrupted_says_how_it_goes_on() {
+    let folder = folder_with(&[]);
+    let out = folder.path().join("v.lvoc");
+    let train = ["vocab", "train", "synthetic:street?laps=9&frames=60", "--depth", "2", "--out", text(&out)];
+    let mut process = Command::new(env!("CARGO_BIN_EXE_loci"));
+    let process = process.args(train).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let unfinished = folder.path().join("v.lvoc.training");
+    while fs::metadata(&unfinished).map_or(0, |file| file.len()) < 100_000 {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let interrupt = Command::new("kill").args(["-INT", &process.id().to_string()]).status().unwrap();
+    assert!(interrupt.success());
+    let ended = process.wait_with_output().unwrap();
+    let stderr = String::from_utf8(ended.stderr).unwrap();
+    assert_eq!(ended.status.code(), Some(1), "{stderr}");
+    assert!(stderr.starts_with("loci: interrupted; the same command goes on with the "), "{stderr}");
+    assert!(unfinished.exists() && !out.exists());
+}
+
 /// Trains for `out` and kills the training while it extracts.
 fn kill_in_between(train: &[&str], out: &Path) {
     let mut process = Command::new(env!("CARGO_BIN_EXE_loci"));

@@ -149,8 +149,10 @@ fn a_vocabulary_without_weights_learns_them_from_images() {
     let weigh = |images: &str| {
         loci(&["vocab", "import", fbow, "--weights-from", images, "--out", text(&path), "--json"])
     };
+    let bare = loci(&["vocab", "import", fbow, "--out", text(&path)]);
+    assert!(bare.stderr.contains("6 words of the file without weight"), "{}", bare.stderr);
     let weighed = weigh("synthetic:street?laps=1&frames=3");
-    assert_eq!(weighed.code, 0, "{}", weighed.stderr);
+    assert!(weighed.code == 0 && weighed.stderr.is_empty(), "{}", weighed.stderr);
     let info = &weighed.records()[0];
     assert_eq!((&info["images"], &info["weighting"]), (&3.into(), &"tf-idf".into()));
     assert!((1..512).contains(&info["weightless_words"].as_u64().unwrap()), "{info}");

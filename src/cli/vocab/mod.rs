@@ -5,17 +5,18 @@ mod extraction;
 mod train;
 
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use indicatif::ProgressDrawTarget;
 use loci::storage::check_replaceable;
+use loci::vocabulary::import::VocabularyFormat;
 use loci::vocabulary::{self, Corpus, TrainingProgress, Vocabulary, VocabularyError, WordId, weigh_on};
 use serde::Serialize;
 
-use self::extraction::extract;
-use super::Outcome;
-use super::console::{progress_bar, say};
+use self::extraction::{extract, frame_files};
+use super::console::{counted, progress_bar, say};
+use super::{Outcome, WrongArgument};
 
 /// Commands of `loci vocab`.
 #[derive(Subcommand)]
@@ -96,7 +97,8 @@ pub(super) fn run(command: VocabCommand) -> anyhow::Result<Outcome> {
 }
 
 fn import(arguments: &ImportArguments) -> anyhow::Result<Outcome> {
-    check_replaceable(&arguments.out)?;
+    let images = arguments.weights_from.iter().map(Path::new);
+    check_output(&arguments.out, images.chain([arguments.file.as_path()]))?;
     let (format, mut vocabulary) = vocabulary::import::import(&arguments.file)?;
     let mut outcome = Outcome::Done;
     if arguments.weights_from.is_empty() {
@@ -107,8 +109,28 @@ fn import(arguments: &ImportArguments) -> anyhow::Result<Outcome> {
     if !arguments.json {
         say(&format!("imported    {} ({})", arguments.file.display(), format.as_str()))?;
     }
-    print(&describe(&vocabulary, arguments.out.display().to_string(), true), arguments.json)?;
+    let info = describe(&vocabulary, arguments.out.display().to_string(), true);
+    if format == VocabularyFormat::Fbow && arguments.weights_from.is_empty() && info.weightless_words > 0 {
+        eprintln!(
+            "loci: {} of the file without weight: FBoW loses up to four; --weights-from weighs them anew",
+            counted(info.weightless_words, "word")
+        );
+    }
+    print(&info, arguments.json)?;
     Ok(outcome)
+}
+
+/// Refuses an output that cannot be written, or that would take the place of one of the inputs.
+fn check_output<'a>(out: &Path, inputs: impl Iterator<Item = &'a Path>) -> anyhow::Result<()> {
+    check_replaceable(out)?;
+    let Ok(existing) = out.canonicalize() else { return Ok(()) };
+    for input in inputs.filter_map(|input| input.canonicalize().ok()) {
+        if frame_files(&input).contains(&existing) {
+            let argument = format!("--out {}", out.display());
+            return Err(WrongArgument(format!("{argument} would replace an input; name another file")).into());
+        }
+    }
+    Ok(())
 }
 
 /// Saves `vocabulary` with weights from the images that were named.

@@ -1,25 +1,26 @@
 //! `loci vocab train`: a vocabulary of the features of many images.
 
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, value_parser};
 use indicatif::ProgressDrawTarget;
-use loci::storage::check_replaceable;
 use loci::vocabulary::{
     Corpus, Trained, TrainingFile, TrainingOptions, TrainingProgress, VocabularyError, train_on,
 };
 use serde::Serialize;
 
 use super::extraction::extract;
-use super::{Info, describe};
+use super::{Info, check_output, describe};
 use crate::cli::Outcome;
 use crate::cli::console::{progress_bar, say};
 
 /// Arguments of `loci vocab train`.
 #[derive(Args)]
 #[command(
-    after_help = "Example:\n  loci vocab train photos/hall photos/yard --branching 10 --depth 5 --out site.lvoc"
+    after_help = "Example:\n  loci vocab train photos/hall photos/yard --branching 10 --depth 5 --out site.lvoc\n\n\
+    A training that was cut off goes on where it was with the same command: what was extracted is kept in \
+    FILE.training until FILE is written."
 )]
 pub(in crate::cli) struct TrainArguments {
     /// Folders of images, videos, or synthetic:… worlds
@@ -66,7 +67,7 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
         seed: arguments.seed,
         ..TrainingOptions::default()
     };
-    check_replaceable(&arguments.out)?;
+    check_output(&arguments.out, arguments.sources.iter().map(Path::new))?;
     let corpus = extract(&arguments.sources, &arguments.out)?;
     let trained = grow(&corpus, options)?;
     trained.vocabulary.save(&arguments.out)?;

@@ -81,13 +81,7 @@ pub(super) fn read(file: &[u8]) -> Result<ForeignTree, Fault> {
     let short = || Fault::at_byte(file.len(), "it ends within its head");
     let (head, blocks) = file.split_first_chunk::<HEAD_BYTES>().ok_or_else(short)?;
     let layout = Layout::read(head, blocks.len())?;
-    let mut tree = ForeignTree {
-        branching: layout.branching as u32,
-        depth: 0,
-        weighting: Weighting::TfIdf,
-        nodes: Vec::new(),
-        words: Vec::new(),
-    };
+    let mut tree = ForeignTree { weighting: Weighting::TfIdf, nodes: Vec::new(), words: Vec::new() };
     let blocks: Vec<&[u8]> = blocks.chunks_exact(layout.block_bytes).collect();
     let mut is_read = vec![false; blocks.len()];
     let mut wordless = Vec::new();
@@ -98,7 +92,6 @@ pub(super) fn read(file: &[u8]) -> Result<ForeignTree, Fault> {
         if level > MAX_DEPTH || std::mem::replace(&mut is_read[block], true) {
             return Err(fault("its blocks hang together in a circle, or too deep".to_owned()));
         }
-        tree.depth = tree.depth.max(level);
         let may_have_phantom = block + 1 == blocks.len();
         for Child { link, descriptor, weight } in
             children(blocks[block], &layout, may_have_phantom).map_err(fault)?

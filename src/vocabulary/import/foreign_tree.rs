@@ -5,6 +5,7 @@ use crate::vocabulary::Weighting;
 use crate::vocabulary::format::{self, Counts, Link, MAX_BRANCHING, MAX_DEPTH, MAX_NODES};
 
 /// A node below the root.
+#[derive(Debug)]
 pub(super) struct ForeignNode {
     /// Its number, from 1; the root is 0.
     pub(super) id: u32,
@@ -14,9 +15,10 @@ pub(super) struct ForeignNode {
 }
 
 /// A tree as a file has it.
+///
+/// Its branching and depth are those of the nodes that are there: what the file's head says is only a plan.
+#[derive(Debug)]
 pub(super) struct ForeignTree {
-    pub(super) branching: u32,
-    pub(super) depth: u32,
     pub(super) weighting: Weighting,
     /// In the order of the file, which is that of the children of a node.
     pub(super) nodes: Vec<ForeignNode>,
@@ -36,20 +38,17 @@ impl Parameters {
     /// A tree without nodes; an error says which parameter makes no sense.
     pub(super) fn tree(&self) -> Result<ForeignTree, String> {
         let within = |name: &str, value: i64, most: u32| {
-            let number = u32::try_from(value).ok().filter(|number| (1..=most).contains(number));
-            number.ok_or_else(|| format!("{name} is {value}, expected 1 to {most}"))
+            let is_within = (1..=i64::from(most)).contains(&value);
+            if is_within { Ok(()) } else { Err(format!("{name} is {value}, expected 1 to {most}")) }
         };
         let weighting = u32::try_from(self.weighting).ok().and_then(Weighting::from_number);
         if !(0..=5).contains(&self.scoring) {
             return Err(format!("there is no scoring {}", self.scoring));
         }
-        Ok(ForeignTree {
-            branching: within("the branching", self.branching, MAX_BRANCHING)?,
-            depth: within("the depth", self.depth, MAX_DEPTH)?,
-            weighting: weighting.ok_or_else(|| format!("there is no weighting {}", self.weighting))?,
-            nodes: Vec::new(),
-            words: Vec::new(),
-        })
+        within("the branching", self.branching, MAX_BRANCHING)?;
+        within("the depth", self.depth, MAX_DEPTH)?;
+        let weighting = weighting.ok_or_else(|| format!("there is no weighting {}", self.weighting))?;
+        Ok(ForeignTree { weighting, nodes: Vec::new(), words: Vec::new() })
     }
 }
 
@@ -75,6 +74,7 @@ impl ForeignTree {
         let mut links = Vec::with_capacity(nodes);
         let mut weights = vec![0.0; self.words.len()];
         let mut descriptors = vec![[0; 32]];
+        let mut branching = 0;
         for next in 0..nodes {
             let Some(&id) = order.get(next) else {
                 return Err(Fault::in_tree("some of its nodes hang together in a circle"));
@@ -87,7 +87,8 @@ impl ForeignTree {
                 continue;
             }
             let level = levels[next] + 1;
-            if run.len() as u32 > MAX_BRANCHING {
+            branching = branching.max(run.len() as u32);
+            if branching > MAX_BRANCHING {
                 return Err(Fault::in_tree(format!("node {id} has more than {MAX_BRANCHING} children")));
             }
             if level > MAX_DEPTH {
@@ -102,8 +103,9 @@ impl ForeignTree {
             }
         }
         let counts = Counts {
-            branching: self.branching,
-            depth: self.depth,
+            branching,
+            // Level by level, the last node is one of the deepest.
+            depth: levels.last().copied().unwrap_or(0),
             nodes: nodes as u32,
             words: weights.len() as u32,
             images: 0,

@@ -20,8 +20,10 @@ use self::foreign_tree::ForeignTree;
 use super::{Vocabulary, VocabularyError};
 use crate::storage::FileBytes;
 
-/// What a compressed file begins with; only DBoW2 compresses its files.
+/// What a compressed file begins with.
 const GZIP: [u8; 2] = [0x1f, 0x8b];
+/// Bytes of a text that say what it is.
+const TEXT_BYTES: u64 = 64;
 
 /// Kinds of file that are imported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,8 +53,18 @@ impl VocabularyFormat {
         }
     }
 
-    /// The format that a file begins as.
+    /// The format that a file begins as, compressed or not.
     pub(super) fn of(beginning: &[u8]) -> Option<Self> {
+        if !beginning.starts_with(&GZIP) {
+            return Self::of_plain(beginning);
+        }
+        let mut text = Vec::new();
+        // What was cut off in the middle fails at its end: what came before is enough.
+        let _ = MultiGzDecoder::new(beginning).take(TEXT_BYTES).read_to_end(&mut text);
+        Self::of_plain(&text).filter(|format| matches!(format, Self::Dbow2Yaml | Self::OrbSlamText))
+    }
+
+    fn of_plain(beginning: &[u8]) -> Option<Self> {
         let begins_with = |magic: &[u8]| beginning.starts_with(magic);
         let text = beginning.trim_ascii_start();
         if begins_with(b"LOCIVOC\0") {
@@ -61,7 +73,7 @@ impl VocabularyFormat {
             Some(Self::Dbow3)
         } else if begins_with(&fbow::MAGIC.to_le_bytes()) {
             Some(Self::Fbow)
-        } else if begins_with(&GZIP) || text.starts_with(b"%YAML") || text.starts_with(b"vocabulary:") {
+        } else if text.starts_with(b"%YAML") || text.starts_with(b"vocabulary:") {
             Some(Self::Dbow2Yaml)
         } else {
             orb_slam::begins(text).then_some(Self::OrbSlamText)
@@ -125,8 +137,8 @@ pub fn from_bytes(file: &[u8], path: &Path) -> Result<(VocabularyFormat, Vocabul
 
 fn from_text(mut text: impl BufRead, path: &Path) -> Result<(VocabularyFormat, Vocabulary), VocabularyError> {
     let mut beginning = Vec::new();
-    let read = (&mut text).take(64).read_to_end(&mut beginning);
-    let format = VocabularyFormat::of(&beginning);
+    let read = (&mut text).take(TEXT_BYTES).read_to_end(&mut beginning);
+    let format = VocabularyFormat::of_plain(&beginning);
     let text = beginning.chain(text);
     let tree = match (read, format) {
         (Err(error), _) => Err(Fault::at_byte(0, error.to_string())),

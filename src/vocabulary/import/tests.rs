@@ -2,9 +2,11 @@
 //! (`tests/data/vocabulary/README.md`).
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
-use std::io::Read;
+use std::fmt::Write as _;
+use std::io::{Read, Write as _};
 
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use proptest::prelude::*;
 
 use super::*;
@@ -178,6 +180,36 @@ fn lines_that_say_nothing_are_not_read_for_ever() {
         let text = head.to_owned() + &idle.repeat(1 << 20);
         assert!(message(text.as_bytes()).contains(reason), "{}", message(text.as_bytes()));
     }
+}
+
+#[test]
+fn words_that_begin_again_and_again_are_refused() {
+    let yaml = "%YAML:1.0\nk: 8\nL: 3\nscoringType: 0\nweightingType: 0\nnodes:\n".to_owned();
+    let text = yaml + &"words:\n".repeat(1 << 20);
+    assert!(message(text.as_bytes()).contains("line 8: its words begin a second time"));
+}
+
+#[test]
+fn branching_and_depth_are_those_of_the_tree_whatever_its_head_says() {
+    let text = String::from_utf8(TEXT.to_vec()).unwrap();
+    let text = text.replacen("8 3 0 0", "10 6 0 0", 1);
+    let vocabulary = read(text.as_bytes()).1;
+    assert_eq!((vocabulary.branching(), vocabulary.depth()), (8, 3));
+}
+
+#[test]
+fn a_compressed_file_is_known_by_what_it_holds() {
+    let compressed = |text: &[u8]| {
+        let mut file = GzEncoder::new(Vec::new(), Compression::fast());
+        file.write_all(text).unwrap();
+        file.finish().unwrap()
+    };
+    let kinds = [TEXT, yaml_text().as_bytes(), b"a letter to a friend", DBOW3]
+        .map(|content| VocabularyFormat::of(&compressed(content)[..512.min(compressed(content).len())]));
+    use VocabularyFormat::{Dbow2Yaml, OrbSlamText};
+    assert_eq!(kinds, [Some(OrbSlamText), Some(Dbow2Yaml), None, None]);
+    assert!(message(&compressed(b"a letter")).starts_with("voc is no vocabulary"));
+    assert_eq!(read(&compressed(TEXT)).0, OrbSlamText);
 }
 
 #[test]

@@ -77,7 +77,9 @@ fn items<R: BufRead>(lines: &mut Lines<R>, mut tree: ForeignTree) -> Result<Fore
     let mut item = String::new();
     while let Some(line) = lines.next()? {
         if item.is_empty() && line == "words:" {
-            in_words = true;
+            if std::mem::replace(&mut in_words, true) {
+                return Err(lines.fault("its words begin a second time"));
+            }
             continue;
         }
         item.push_str(line);
