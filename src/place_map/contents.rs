@@ -56,24 +56,22 @@ impl Contents {
     /// A place's record at `location` that takes `bytes`; one of the same place before it does not count any more.
     pub(super) fn put_place(&mut self, record: PlaceRecord, location: Location, bytes: u64) {
         let id = PlaceId(record.place);
+        let root_before = self.is_settled.then(|| self.resolve(id));
         let before = self.places.remove(&id);
-        let was_merged_into = before.as_ref().and_then(|place| place.merged_into);
         self.live_bytes += bytes;
         self.live_bytes -= before.as_ref().map_or(0, |place| u64::from(place.record_bytes));
-        let merged_into = record.merged_into.map(PlaceId);
         let place = Place {
             id,
             name: record.name,
-            merged_into,
+            merged_into: record.merged_into.map(PlaceId),
             neighbours: record.neighbours.into_iter().map(PlaceId).collect(),
             experiences: before.map_or_else(Vec::new, |place| place.experiences),
             location,
             record_bytes: bytes as u32,
         };
         self.places.insert(id, place);
-        if self.is_settled && was_merged_into != merged_into {
-            let roots = self.places.keys().map(|&place| (place, self.resolve(place))).collect();
-            self.regroup(&roots);
+        if let Some(root_before) = root_before {
+            self.move_experiences(root_before, self.resolve(id));
         }
     }
 
@@ -123,7 +121,7 @@ impl Contents {
             return Err(format!("place {} is missing", place.0));
         }
         let roots = self.roots()?;
-        self.regroup(&roots);
+        self.group(&roots);
         self.is_settled = true;
         Ok(())
     }
@@ -163,11 +161,31 @@ impl Contents {
     }
 
     /// Puts every experience to the place that the one it was learnt as is by now.
-    fn regroup(&mut self, roots: &BTreeMap<PlaceId, PlaceId>) {
+    fn group(&mut self, roots: &BTreeMap<PlaceId, PlaceId>) {
         self.places.values_mut().for_each(|place| place.experiences.clear());
         for experience in self.experiences.values() {
             let place = roots.get(&experience.learnt_as).and_then(|root| self.places.get_mut(root));
             place.into_iter().for_each(|place| place.experiences.push(experience.id));
+        }
+    }
+
+    /// Moves the experiences of `from` that are of `into` by now; a merge or its undoing touches no other place.
+    fn move_experiences(&mut self, from: PlaceId, into: PlaceId) {
+        if from == into {
+            return;
+        }
+        let Some(place) = self.places.get_mut(&from) else { return };
+        let experiences = std::mem::take(&mut place.experiences);
+        let learnt_as = |id: &ExperienceId| self.experiences.get(id).map(|experience| experience.learnt_as);
+        let stays = |id: &ExperienceId| learnt_as(id).is_some_and(|place| self.resolve(place) == from);
+        let (staying, moving): (Vec<_>, Vec<_>) = experiences.into_iter().partition(stays);
+        if let Some(place) = self.places.get_mut(&from) {
+            place.experiences = staying;
+        }
+        if let Some(place) = self.places.get_mut(&into) {
+            place.experiences.extend(moving);
+            // The stable sort takes two runs in order as they are and merges them in one pass.
+            place.experiences.sort();
         }
     }
 
@@ -193,4 +211,57 @@ impl Contents {
 pub(super) enum Fact {
     Place(PlaceId),
     Experience(ExperienceId),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const PLACES: u32 = 8;
+
+    fn place(place: u32, merged_into: Option<PlaceId>) -> PlaceRecord {
+        let merged_into = merged_into.map(|place| place.0);
+        PlaceRecord { place, name: None, merged_into, neighbours: Vec::new() }
+    }
+
+    fn experience(id: u32, learnt_as: u32) -> Experience {
+        Experience {
+            id: ExperienceId(id),
+            learnt_as: PlaceId(learnt_as),
+            view: 0,
+            mean_luminance: None,
+            is_keyframe: true,
+            location: Location::new(1, 0),
+            record_bytes: 1,
+        }
+    }
+
+    /// The contents as they are once every experience is looked at anew.
+    fn grouped_anew(contents: &Contents) -> Contents {
+        let mut anew = Contents { is_settled: false, ..contents.clone() };
+        anew.settle().unwrap();
+        anew
+    }
+
+    proptest! {
+        #[test]
+        fn merges_and_splits_leave_every_experience_where_grouping_all_anew_would_put_it(
+            changes in proptest::collection::vec((0..4_u8, 0..PLACES, 0..PLACES), 1..60),
+        ) {
+            let mut contents = Contents::default();
+            (0..PLACES).for_each(|id| contents.put_place(place(id, None), Location::new(1, 0), 1));
+            contents.settle().unwrap();
+            for (next, (kind, one, other)) in (0..).zip(changes) {
+                let (root, into) = (contents.resolve(PlaceId(one)), contents.resolve(PlaceId(other)));
+                match kind {
+                    0 if root != into => contents.put_place(place(root.0, Some(into)), Location::new(1, 0), 1),
+                    1 => contents.put_place(place(one, None), Location::new(1, 0), 1),
+                    2 => contents.remove_experience(ExperienceId(next / 2)),
+                    _ => contents.put_experience(experience(next, one)),
+                }
+                prop_assert_eq!(&contents, &grouped_anew(&contents));
+            }
+        }
+    }
 }
