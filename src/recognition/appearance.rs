@@ -1,5 +1,7 @@
 //! The places as the CNN knows them: one descriptor a keyframe, compared one by one.
 
+use std::collections::HashMap;
+
 use heapless::Vec as FixedVec;
 
 use super::candidate::{Candidate, Evidence, MAX_CANDIDATES};
@@ -8,6 +10,8 @@ use crate::place_map::{ExperienceId, PlaceId};
 
 /// What the allocator takes for itself of every descriptor.
 const ALLOCATION_BYTES: usize = 16;
+/// Memory of a position, with what tables keep in reserve.
+const POSITION_BYTES: usize = 16;
 
 struct Entry {
     place: PlaceId,
@@ -19,26 +23,31 @@ struct Entry {
 #[derive(Default)]
 pub(super) struct AppearanceIndex {
     entries: Vec<Entry>,
+    /// Where each keyframe is among them.
+    positions: HashMap<ExperienceId, u32>,
 }
 
 impl AppearanceIndex {
     pub(super) fn add(&mut self, place: PlaceId, keyframe: ExperienceId, descriptor: CompactDescriptor) {
+        self.remove(keyframe);
+        self.positions.insert(keyframe, self.entries.len() as u32);
         self.entries.push(Entry { place, keyframe, descriptor });
     }
 
     /// Forgets a keyframe, if it has one of that number.
     pub(super) fn remove(&mut self, keyframe: ExperienceId) {
-        if let Some(position) = self.entries.iter().position(|entry| entry.keyframe == keyframe) {
-            self.entries.swap_remove(position);
+        let Some(position) = self.positions.remove(&keyframe) else { return };
+        self.entries.swap_remove(position as usize);
+        if let Some(moved) = self.entries.get(position as usize) {
+            self.positions.insert(moved.keyframe, position);
         }
     }
 
     /// From now on the keyframe is one of `place`.
     pub(super) fn rename(&mut self, keyframe: ExperienceId, place: PlaceId) {
-        self.entries
-            .iter_mut()
-            .filter(|entry| entry.keyframe == keyframe)
-            .for_each(|entry| entry.place = place);
+        if let Some(&position) = self.positions.get(&keyframe) {
+            self.entries[position as usize].place = place;
+        }
     }
 
     /// Bytes of memory that it takes, roughly.
@@ -46,7 +55,7 @@ impl AppearanceIndex {
         // All come from one model and have as many values.
         let values =
             self.entries.first().map_or(0, |entry| entry.descriptor.values().len() + ALLOCATION_BYTES);
-        self.entries.len() * (values + size_of::<Entry>())
+        self.entries.len() * (values + size_of::<Entry>() + POSITION_BYTES)
     }
 
     /// The best keyframe of each of the places that are most like `descriptor`, best first.
@@ -114,6 +123,34 @@ mod tests {
             prop_assert_eq!(found.len(), expected.len());
             for (found, (angle, _)) in found.iter().zip(expected) {
                 prop_assert!((found.score - angle.cos()).abs() < 0.01);
+            }
+        }
+
+        #[test]
+        fn what_was_added_last_and_not_removed_since_is_found_under_its_latest_place(
+            changes in proptest::collection::vec((0..3_u8, 0..8_u32, 0..12_u32), 0..60),
+        ) {
+            let mut index = AppearanceIndex::default();
+            let mut expected = std::collections::BTreeMap::new();
+            for (kind, keyframe, place) in changes {
+                match kind {
+                    0 => {
+                        index.add(PlaceId(place), ExperienceId(keyframe), unit(0.0));
+                        expected.insert(keyframe, place);
+                    }
+                    1 => {
+                        index.remove(ExperienceId(keyframe));
+                        expected.remove(&keyframe);
+                    }
+                    _ => {
+                        index.rename(ExperienceId(keyframe), PlaceId(place));
+                        expected.entry(keyframe).and_modify(|known| *known = place);
+                    }
+                }
+                let mut held: Vec<(u32, u32)> =
+                    index.entries.iter().map(|entry| (entry.keyframe.0, entry.place.0)).collect();
+                held.sort_unstable();
+                prop_assert_eq!(held, expected.clone().into_iter().collect::<Vec<_>>());
             }
         }
     }
