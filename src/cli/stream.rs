@@ -39,7 +39,7 @@ pub(super) fn pipeline(
     report_condition(&map);
     let card = model.as_ref().map(|model| model.card().clone());
     let mut recogniser = Recogniser::new(Arc::new(vocabularies), map, card, options)?;
-    report_foreign_descriptors(&recogniser, model.as_ref().map(DescriptorModel::card));
+    report_foreign_descriptors(recogniser.foreign_descriptors(), model.as_ref().map(DescriptorModel::card));
     if let Some(unwritable) = unwritable {
         recogniser.read_only_because(unwritable);
     }
@@ -128,8 +128,8 @@ pub(super) fn eyes(
 }
 
 /// Says how many keyframes cannot be compared by the model of `card`.
-pub(super) fn report_foreign_descriptors(recogniser: &Recogniser, card: Option<&ModelCard>) {
-    let (count @ 1.., Some(card)) = (recogniser.foreign_descriptors(), card) else { return };
+pub(super) fn report_foreign_descriptors(keyframes: usize, card: Option<&ModelCard>) {
+    let (count @ 1.., Some(card)) = (keyframes, card) else { return };
     let (verb, pronoun) = if count == 1 { ("has", "it is") } else { ("have", "they are") };
     eprintln!(
         "loci: {} {verb} CNN descriptors of another model than {}; {pronoun} found by BoW+HV alone",

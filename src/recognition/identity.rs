@@ -16,7 +16,7 @@ use super::recogniser::Recogniser;
 use crate::place_map::{MapError, PlaceId};
 
 /// Effective inliers, as a multiple of what a match needs, that make a match strong.
-const STRONG: u32 = 2;
+pub(super) const STRONG: u32 = 2;
 /// Frames after which a visit is over.
 const VISIT_FRAMES: u64 = 20;
 /// By how many the visits that say one place must outnumber the others before places are merged.

@@ -28,4 +28,9 @@ impl Look {
         let quantised = vocabularies.vocabulary(light.condition).quantise_all(&features.descriptors);
         Self { features, light, quantised, appearance }
     }
+
+    /// The node under which each feature is compared.
+    pub(super) fn groups(&self) -> Vec<u32> {
+        self.quantised.iter().map(|quantised| quantised.node.0).collect()
+    }
 }

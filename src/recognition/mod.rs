@@ -22,7 +22,7 @@ mod working_set;
 
 pub use calibration::{doubt, inlier_probability};
 pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
-pub use joining::Join;
+pub use joining::{Join, Support};
 pub use look::Look;
 pub use options::RecognitionOptions;
 pub use recogniser::Recogniser;

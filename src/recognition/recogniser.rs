@@ -183,7 +183,7 @@ impl Recogniser {
         if accepted(candidates, Evidence::Cnn).is_some() {
             return None;
         }
-        let groups: Vec<u32> = look.quantised.iter().map(|q| q.node.0).collect();
+        let groups = look.groups();
         let query = MatchingView { features: &look.features, groups: &groups };
         let mut best: Option<Verification> = None;
         for candidate in candidates.iter_mut().filter(|candidate| candidate.by == Evidence::BowHv) {
@@ -200,7 +200,7 @@ impl Recogniser {
     }
 
     /// A keyframe that cannot be read matches nothing, and is not asked again: its failure is said once.
-    fn verify_keyframe(
+    pub(super) fn verify_keyframe(
         &mut self,
         (query, condition): (MatchingView<'_>, ConditionId),
         keyframe: ExperienceId,
@@ -361,6 +361,7 @@ fn mark_outdone(candidates: &mut Candidates, chosen: &Candidate) {
 mod tests {
     use std::path::Path;
 
+    use super::super::{Join, Support};
     use super::*;
     use crate::feature::{Descriptor, Features, Keypoint};
     use crate::geometry::Point;
@@ -719,15 +720,29 @@ mod tests {
 
     #[test]
     fn places_of_another_map_are_recognised_with_their_evidence() {
-        let other = map_of(0, 0, 20);
+        let mut other = Robot::new(None, no_interval(), map_of(0, 0, 20)).recogniser;
         let mut robot = Robot::without_cnn();
         let places = [5, 7, 0].map(|place| robot.see(place, 0).place.unwrap());
-        let joins = robot.recogniser.joins(&other).unwrap();
-        let found: Vec<(PlaceId, PlaceId)> = joins.iter().map(|join| (join.other, join.place)).collect();
-        assert_eq!(found, [(PlaceId(0), places[2]), (PlaceId(1), places[1])]);
-        assert!(joins.iter().all(|join| (join.matched, join.keyframes, join.cosine) == (1, 1, None)));
-        assert!(joins.iter().all(|join| join.inliers > Some(50)));
+        let joins = robot.recogniser.joins(&mut other).unwrap();
+        let found = |joins: &[Join]| joins.iter().map(|join| (join.other, join.place)).collect::<Vec<_>>();
+        assert_eq!(found(&joins), [(PlaceId(0), places[2]), (PlaceId(1), places[1])]);
+        for Support { matched, keyframes, inliers, cosine } in joins.iter().flat_map(|j| [j.there, j.back]) {
+            assert_eq!((matched, keyframes, cosine), (1, 1, None));
+            assert!(inliers > 50, "{inliers}");
+        }
+        let back = other.joins(&mut robot.recogniser).unwrap();
+        assert_eq!(found(&back), [(places[1], PlaceId(1)), (places[2], PlaceId(0))]);
         assert_eq!(robot.recogniser.map().summary().experiences, 3, "nothing is changed");
+    }
+
+    #[test]
+    fn places_of_another_map_that_only_the_cnn_knows_are_not_joined() {
+        let [mut robot, mut other] = [0, 1].map(|_| Robot::with_cnn());
+        for place in 0..3 {
+            robot.see(place, place as usize);
+            other.see(10 + place, place as usize);
+        }
+        assert_eq!(robot.recogniser.joins(&mut other.recogniser).unwrap(), []);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use clap::Args;
 use loci::cnn::{CARD_FILE, ModelCard};
 use loci::place_map::{Durability, MapOptions, MapSummary, PlaceId, PlaceMap};
-use loci::recognition::{Join, Recogniser, RecognitionOptions};
+use loci::recognition::{Join, Recogniser, RecognitionOptions, Support};
 use loci::vocabulary::VocabularySet;
 use serde::Serialize;
 
@@ -27,8 +27,12 @@ use crate::cli::{Outcome, WrongArgument, assets, stream};
     becomes n plus the number of places of A, those that were merged into others counted, and that number goes on \
     meaning it where it turned out to be one of A. Experiences are numbered anew. A name that only the place of B has \
     goes along; where both have one, A's stays.\n\n\
-    Keyframes are compared by the CNN descriptors that the maps hold, and by geometry; where the model's folder is \
-    missing, by geometry alone.")]
+    A place of B is joined to one of A if both say so: at least two keyframes of each, or the only one, match the \
+    other strongly and better than any other place; so do at least half of the keyframes of either; and most keyframes \
+    of B's place that match anything match A's. A match is strong by geometry with twice the inliers that `loci run` \
+    asks for, or with just those where the CNN descriptors that the maps hold agree. A wrong join costs much, a place \
+    that stays double little. \
+    Where the model's folder is missing, geometry decides alone.")]
 pub(in crate::cli) struct MergeArguments {
     /// The map whose places keep their numbers
     a: PathBuf,
@@ -71,22 +75,31 @@ struct JoinLine {
     place: u32,
     /// In B.
     other: u32,
+    /// What the keyframes of B's place say.
+    #[serde(flatten)]
+    there: SupportLine,
+    /// What those of A's place say.
+    back: SupportLine,
+}
+
+#[derive(Serialize)]
+struct SupportLine {
     matched_keyframes: usize,
     keyframes: usize,
-    inliers: Option<u32>,
+    inliers: u32,
     cosine: Option<f32>,
 }
 
 impl From<&Join> for JoinLine {
     fn from(join: &Join) -> Self {
-        Self {
-            place: join.place.0,
-            other: join.other.0,
-            matched_keyframes: join.matched,
-            keyframes: join.keyframes,
-            inliers: join.inliers,
-            cosine: join.cosine,
-        }
+        let (there, back) = (join.there.into(), join.back.into());
+        Self { place: join.place.0, other: join.other.0, there, back }
+    }
+}
+
+impl From<Support> for SupportLine {
+    fn from(Support { matched, keyframes, inliers, cosine }: Support) -> Self {
+        Self { matched_keyframes: matched, keyframes, inliers, cosine }
     }
 }
 
@@ -102,15 +115,14 @@ pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
     let options = MapOptions { durability: Durability::None, ..stream::map_options(&settings)? };
     check_folders(arguments)?;
     let stop = stream::stop_flag()?;
-    let b = PlaceMap::open_read_only(&arguments.b)?;
-    let mut recogniser = recogniser(&arguments.a, &settings)?;
+    let [mut a, mut b] = recognisers(arguments, &settings)?;
     go_on(&stop)?;
-    let spinner = spinner("recognising keyframes of the one in the other");
-    let joins = recogniser.joins(&b);
+    let spinner = spinner("recognising the keyframes of each in the other");
+    let joins = a.joins(&mut b);
     spinner.finish_and_clear();
     let joins = joins?;
     go_on(&stop)?;
-    let maps = (recogniser.map(), &b);
+    let maps = (a.map(), b.map());
     let made = arguments.out.as_deref().map(|out| make(out, options, maps, &joins, &stop)).transpose()?;
     let report = Report {
         joins: joins.iter().map(JoinLine::from).collect(),
@@ -123,8 +135,7 @@ pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
         report.joins.iter().try_for_each(|join| say(&sentence(join)))?;
         say(&conclusion(&report, arguments))?;
     }
-    let torn =
-        [(recogniser.map(), &arguments.a), (&b, &arguments.b)].map(|(map, at)| report_torn_tail(map, at));
+    let torn = [(a.map(), &arguments.a), (b.map(), &arguments.b)].map(|(map, at)| report_torn_tail(map, at));
     Ok(if torn.contains(&Outcome::Lost) { Outcome::Lost } else { Outcome::Done })
 }
 
@@ -151,17 +162,21 @@ fn go_on(stop: &AtomicBool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What recognises in the map at `folder`, all of whose places are searched. The CNN itself is not needed: the
-/// maps hold its descriptors.
-fn recogniser(folder: &Path, settings: &StreamSettings) -> anyhow::Result<Recogniser> {
-    let vocabularies = VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?;
+/// What recognises in A and in B, all of whose places are searched. The CNN itself is not needed: the maps hold its
+/// descriptors.
+fn recognisers(arguments: &MergeArguments, settings: &StreamSettings) -> anyhow::Result<[Recogniser; 2]> {
+    let vocabularies = Arc::new(VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?);
     let card = card(settings.model.as_deref())?;
-    let map = PlaceMap::open_read_only(folder)?;
     let options =
         RecognitionOptions { read_only: true, memory_bytes: usize::MAX, ..RecognitionOptions::default() };
-    let recogniser = Recogniser::new(Arc::new(vocabularies), map, card.clone(), options)?;
-    stream::report_foreign_descriptors(&recogniser, card.as_ref());
-    Ok(recogniser)
+    let over = |folder: &Path| -> anyhow::Result<Recogniser> {
+        let map = PlaceMap::open_read_only(folder)?;
+        Ok(Recogniser::new(vocabularies.clone(), map, card.clone(), options.clone())?)
+    };
+    let both = [over(&arguments.a)?, over(&arguments.b)?];
+    let foreign = both.iter().map(Recogniser::foreign_descriptors).sum();
+    stream::report_foreign_descriptors(foreign, card.as_ref());
+    Ok(both)
 }
 
 /// The card of the model `named`, or of the shipped one; where that is missing, geometry goes on without it.
@@ -222,19 +237,18 @@ fn fill(
     Ok(map.summary())
 }
 
-fn sentence(join: &JoinLine) -> String {
+fn sentence(JoinLine { place, other, there, back }: &JoinLine) -> String {
     let mut text = format!(
-        "place {} of B is place {} of A: {} of {} recognised",
-        join.other,
-        join.place,
-        join.matched_keyframes,
-        counted(join.keyframes, "keyframe")
+        "place {other} of B is place {place} of A: {} of {} recognised, and {} of {} the other way round, by geometry \
+         with up to {} effective inliers",
+        there.matched_keyframes,
+        counted(there.keyframes, "keyframe"),
+        back.matched_keyframes,
+        back.keyframes,
+        there.inliers.max(back.inliers),
     );
-    if let Some(cosine) = join.cosine {
+    if let Some(cosine) = there.cosine.into_iter().chain(back.cosine).reduce(f32::max) {
         text += &format!(", by the CNN up to {cosine:.3}");
-    }
-    if let Some(inliers) = join.inliers {
-        text += &format!(", by geometry with up to {inliers} effective inliers");
     }
     text
 }
