@@ -7,18 +7,16 @@
 
 use std::collections::BTreeMap;
 use std::io;
-use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use super::MapError;
-use super::contents::{Contents, Location};
+use super::contents::Location;
 use super::format::{self, EXPERIENCE, ExperienceRecord, FEATURES, FeaturesRecord, KIND, THUMBNAIL};
-use super::replay::{apply, apply_version_1, version_1_experience};
+use super::replay::version_1_experience;
+use super::syncer::JournalSyncer;
 use super::version_1;
 use crate::feature::Features;
-use crate::storage::{
-    Envelope, Folder, LogSyncer, LoggedRecord, Reading, RecordLog, Recovery, StorageError, Tail, log_kind,
-};
+use crate::storage::{Envelope, Folder, Reading, RecordLog, StorageError, Tail};
 
 /// A point of the journal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,7 +25,7 @@ pub(super) struct Position {
     pub(super) offset: u64,
 }
 
-enum Segment {
+pub(super) enum Segment {
     Log(RecordLog),
     Version1(version_1::Journal),
 }
@@ -43,44 +41,9 @@ impl Segment {
 
 /// The segments of a map's journal.
 pub(super) struct Journal {
-    folder: Arc<dyn Folder>,
-    segments: BTreeMap<u32, Segment>,
-    syncer: JournalSyncer,
-}
-
-/// Brings what was learnt onto the medium, from any thread.
-#[derive(Clone, Default)]
-pub struct JournalSyncer(Arc<Mutex<Active>>);
-
-/// The segment that grows, and why it cannot be synced any more.
-#[derive(Default)]
-struct Active {
-    log: Option<LogSyncer>,
-    failure: Option<StorageError>,
-}
-
-impl JournalSyncer {
-    /// Returns when everything learnt before the call would survive a power cut, or could not be made to: then
-    /// the map's next change fails and says why.
-    pub fn sync(&self) {
-        if let Err(failure) = self.try_sync() {
-            self.active().failure.get_or_insert(failure);
-        }
-    }
-
-    fn try_sync(&self) -> Result<(), StorageError> {
-        // Not under the lock: the writer must not wait for a slow medium to learn that nothing failed.
-        let log = self.active().log.clone();
-        log.map_or(Ok(()), |log| log.sync())
-    }
-
-    fn follow(&self, log: &RecordLog) {
-        self.active().log = Some(log.syncer());
-    }
-
-    fn active(&self) -> MutexGuard<'_, Active> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+    pub(super) folder: Arc<dyn Folder>,
+    pub(super) segments: BTreeMap<u32, Segment>,
+    pub(super) syncer: JournalSyncer,
 }
 
 pub(super) fn segment_name(number: u32) -> String {
@@ -100,102 +63,20 @@ pub(super) fn segment_numbers(folder: &dyn Folder) -> Result<Vec<u32>, StorageEr
     Ok(numbers)
 }
 
+/// The segment at `path` is gone.
+pub(super) fn missing(path: &Path) -> StorageError {
+    let reason = io::Error::new(io::ErrorKind::NotFound, "it is missing; restore it from a copy");
+    StorageError::io("open", path)(reason)
+}
+
 impl Journal {
-    /// Opens the journal in `folder` and brings `contents`, which stand for `position`, up to its end. With
-    /// `writable` a torn tail is cut off, and an empty folder gets a first segment.
-    ///
-    /// # Errors
-    /// If a segment is missing, damaged, newer than this program, or the medium fails.
-    pub(super) fn open(
-        folder: Arc<dyn Folder>,
-        writable: bool,
-        position: Position,
-        contents: &mut Contents,
-    ) -> Result<(Self, Recovery), MapError> {
-        let numbers = segment_numbers(folder.as_ref())?;
-        let mut journal = Self { folder, segments: BTreeMap::new(), syncer: JournalSyncer::default() };
-        journal.check_numbers(&numbers, position)?;
-        let mut recovery = Recovery::default();
-        for &number in &numbers {
-            let tail = match (numbers.last() == Some(&number), writable) {
-                (false, _) => Tail::Sealed,
-                (true, true) => Tail::Mended,
-                (true, false) => Tail::Ignored,
-            };
-            let found = journal.open_segment(number, tail, position, contents)?;
-            recovery.records += found.records;
-            recovery.torn_bytes += found.torn_bytes;
-        }
-        if let Some(missing) = contents.segments().find(|number| !journal.segments.contains_key(number)) {
-            return Err(journal.missing(missing).into());
-        }
-        let damaged = |reason| StorageError::Damaged { path: journal.folder.path().to_owned(), reason };
-        if contents.live_bytes > journal.total_bytes() {
-            let reason =
-                "its snapshot speaks of more than there is: delete the snapshot, the journal is enough";
-            return Err(damaged(reason.to_owned()).into());
-        }
-        contents.settle().map_err(damaged)?;
-        if writable {
-            match journal.segments.last_key_value() {
-                Some((_, Segment::Log(log))) => journal.syncer.follow(log),
-                Some((&last, Segment::Version1(_))) => journal.begin_segment(last + 1)?,
-                None => journal.begin_segment(1)?,
-            }
-        }
-        Ok((journal, recovery))
-    }
-
-    fn check_numbers(&self, numbers: &[u32], position: Position) -> Result<(), StorageError> {
-        let gap = numbers.windows(2).find(|pair| pair[1] != pair[0] + 1).map(|pair| pair[0] + 1);
-        let end = (position.segment > numbers.last().copied().unwrap_or(0)).then_some(position.segment);
-        gap.or(end).map_or(Ok(()), |number| Err(self.missing(number)))
-    }
-
-    fn open_segment(
-        &mut self,
-        number: u32,
-        tail: Tail,
-        position: Position,
-        contents: &mut Contents,
-    ) -> Result<Recovery, StorageError> {
-        let name = segment_name(number);
-        let path = self.folder.path().join(&name);
-        let file = self.folder.open(&name, tail == Tail::Mended).map_err(StorageError::io("open", &path))?;
-        let length = file.length_bytes().map_err(StorageError::io("read", &path))?;
-        let from = match number.cmp(&position.segment) {
-            std::cmp::Ordering::Less => length,
-            std::cmp::Ordering::Equal => position.offset,
-            std::cmp::Ordering::Greater => 0,
-        };
-        let is_version_1 = log_kind(file.as_ref(), &path)? == (KIND.magic, version_1::VERSION);
-        let (segment, recovery) = if is_version_1 {
-            let mut visit = |offset, length, record| {
-                apply_version_1(contents, Location::new(number, offset), length, record)
-            };
-            let (journal, mut recovery) = version_1::Journal::open(file, &path, from, &mut visit)?;
-            if tail == Tail::Sealed {
-                // A torn tail that was there when the map went on in the next segment is no news.
-                recovery.torn_bytes = 0;
-            }
-            (Segment::Version1(journal), recovery)
-        } else {
-            let mut visit = |record: LoggedRecord<'_>| {
-                let LoggedRecord { offset, envelope, payload, length_bytes } = record;
-                let Some(payload) = payload else { return Ok(()) };
-                apply(contents, Location::new(number, offset), (envelope, payload), length_bytes)
-            };
-            let wanted = |envelope| envelope != FEATURES && envelope != THUMBNAIL;
-            let reading = Reading { from, wanted, visit: &mut visit };
-            let (log, recovery) = RecordLog::open(file, (&KIND, &path), tail, reading)?;
-            (Segment::Log(log), recovery)
-        };
-        self.segments.insert(number, segment);
-        Ok(recovery)
+    /// The journal of `segments`.
+    pub(super) fn of(folder: Arc<dyn Folder>, segments: BTreeMap<u32, Segment>) -> Self {
+        Self { folder, segments, syncer: JournalSyncer::default() }
     }
 
     /// Goes on in the segment `number`, once everything before it is on the medium.
-    fn begin_segment(&mut self, number: u32) -> Result<(), StorageError> {
+    pub(super) fn begin_segment(&mut self, number: u32) -> Result<(), StorageError> {
         self.sync()?;
         let name = segment_name(number);
         let path = self.folder.path().join(&name);
@@ -233,7 +114,7 @@ impl Journal {
 
     /// Fails if a sync in the background did.
     pub(super) fn check(&self) -> Result<(), StorageError> {
-        self.syncer.active().failure.take().map_or(Ok(()), Err)
+        self.syncer.take_failure().map_or(Ok(()), Err)
     }
 
     pub(super) fn syncer(&self) -> JournalSyncer {
@@ -349,12 +230,12 @@ impl Journal {
         self.segments.get(&location.segment()).ok_or_else(|| self.missing(location.segment()))
     }
 
-    fn path_of(&self, number: u32) -> PathBuf {
+    pub(super) fn path_of(&self, number: u32) -> PathBuf {
         self.folder.path().join(segment_name(number))
     }
 
-    fn missing(&self, number: u32) -> StorageError {
-        StorageError::io("open", &self.path_of(number))(io::ErrorKind::NotFound.into())
+    pub(super) fn missing(&self, number: u32) -> StorageError {
+        missing(&self.path_of(number))
     }
 
     fn damaged(&self, location: Location, reason: &str) -> StorageError {

@@ -8,8 +8,10 @@ use std::sync::Arc;
 use super::batch::Batch;
 use super::contents::{Contents, MAX_NEIGHBOURS};
 use super::format::{self, PLACE, PlaceRecord, THINNED, ThinnedRecord};
-use super::journal::{Journal, JournalSyncer, segment_numbers};
-use super::snapshot::{self, Snapshot};
+use super::journal::{Journal, segment_numbers};
+use super::opening::Opened;
+use super::snapshot;
+use super::syncer::JournalSyncer;
 use super::thinning::{self, Glimpse};
 use super::upkeep::Upkeep;
 use super::{Durability, ExperienceId, MapError, MapOptions, Place, PlaceId, Traits};
@@ -124,19 +126,20 @@ impl PlaceMap {
         options: Option<MapOptions>,
         lock: Option<WriterLock>,
     ) -> Result<Self, MapError> {
-        let (snapshot, snapshot_fault) = match snapshot::read(folder.as_ref()) {
-            Ok(snapshot) => (snapshot.unwrap_or_default(), None),
+        let (snapshot, unreadable) = match snapshot::read(folder.as_ref()) {
+            Ok(snapshot) => (snapshot, None),
             Err(fault @ (StorageError::Damaged { .. } | StorageError::WrongKind { .. })) => {
-                (Snapshot::default(), Some(fault))
+                (None, Some(fault))
             }
             Err(error) => return Err(error.into()),
         };
-        let Snapshot { position, mut contents, length_bytes } = snapshot;
+        let length_bytes = snapshot.as_ref().map_or(0, |snapshot| snapshot.length_bytes);
         let is_writable = options.is_some();
+        let Opened { journal, contents, recovery, snapshot_fault } =
+            Journal::open(&folder, is_writable, snapshot)?;
         if is_writable {
             remove_leftovers(folder.as_ref())?;
         }
-        let (journal, recovery) = Journal::open(folder.clone(), is_writable, position, &mut contents)?;
         Ok(Self {
             contents,
             journal,
@@ -144,7 +147,7 @@ impl PlaceMap {
             options: options.unwrap_or_default(),
             upkeep: Upkeep::new(length_bytes),
             recovery,
-            snapshot_fault,
+            snapshot_fault: unreadable.or(snapshot_fault),
             latest_place: None,
             is_writable,
             _lock: lock,

@@ -5,7 +5,7 @@
 //! journal and are read when they are needed.
 //!
 //! Everything goes through the journal: the map in memory is what replaying it gives, whether a record was just
-//! written or read after a restart. `journal` keeps the segments, `snapshot` saves reading them all,
+//! written or read after a restart. `journal` keeps the segments, `opening` reads them, `snapshot` saves reading them all,
 //! `thinning` says what to give up when the map is to stay within its budget.
 
 mod absorb;
@@ -16,12 +16,14 @@ mod format;
 mod inspection;
 mod journal;
 mod map;
+mod opening;
 mod options;
 #[cfg(test)]
 mod power_cut_tests;
 mod reading;
 mod replay;
 mod snapshot;
+mod syncer;
 #[cfg(test)]
 mod tests;
 mod thinning;
@@ -30,10 +32,10 @@ mod verify;
 mod version_1;
 
 pub use error::MapError;
-pub use journal::JournalSyncer;
 pub use map::{Learnt, NewExperience, PlaceMap};
 pub use options::{Durability, MapOptions};
 pub use reading::MapSummary;
+pub use syncer::JournalSyncer;
 pub use verify::{Problem, SnapshotState, Verification};
 
 use contents::Location;

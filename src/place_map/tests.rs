@@ -78,7 +78,7 @@ pub(super) fn learn(
     map.learn(place, &new)
 }
 
-fn found(map: &mut PlaceMap, index: u64) -> PlaceId {
+pub(super) fn found(map: &mut PlaceMap, index: u64) -> PlaceId {
     learn(map, None, index, true).unwrap().place
 }
 

@@ -17,7 +17,8 @@ pub use folder::{BESIDE_SUFFIX, DiskFolder, Folder, MemoryFolder, replace};
 pub use header::{FileKind, HEADER_BYTES, checksum};
 pub use lock::WriterLock;
 pub use log::{
-    LOG_HEADER_BYTES, LogSyncer, LoggedRecord, Reading, RecordLog, Recovery, Surveyed, Tail, log_kind,
+    Footing, LOG_HEADER_BYTES, LogSyncer, LoggedRecord, Reading, RecordLog, Recovery, Surveyed, Tail,
+    log_kind,
 };
 pub use mapped::FileBytes;
 pub use record::Envelope;
@@ -80,6 +81,14 @@ pub enum StorageError {
         /// The file.
         path: PathBuf,
         /// What does not fit, and where.
+        reason: String,
+    },
+    /// The snapshot is whole, but not of the journal beside it.
+    #[error("{} is not of this journal: {reason}; the next run that learns replaces it", path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// How it was noticed.
         reason: String,
     },
 }

@@ -20,7 +20,7 @@
 
 mod survey;
 
-pub use survey::Surveyed;
+pub use survey::{Footing, Surveyed};
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -142,14 +142,14 @@ impl RecordLog {
         let length = file.length_bytes().map_err(StorageError::io("read", path))?;
         let log = Self::over(file, path);
         let mut recovery = Recovery::default();
-        if length > LOG_HEADER_BYTES || !log.is_torn_at_birth(kind, length)? {
+        if !log.is_torn_at_birth(kind, length)? {
             log.check_header(kind)?;
             recovery = log.replay(length, tail, reading)?;
-        } else {
-            log.begin(kind, tail)?;
+        } else if tail == Tail::Sealed {
+            return Err(log.damaged(0));
         }
         if tail == Tail::Mended {
-            log.mend(recovery)?;
+            log.mend(kind)?;
         }
         Ok((log, recovery))
     }
@@ -238,22 +238,32 @@ impl RecordLog {
         self.shared.end.load(Ordering::Acquire)
     }
 
-    /// Whether a log of `length` bytes, no more than its header has, is new or was torn while it was made.
+    /// Makes a log whose tail was ignored ready to be written: a torn tail is cut off, an empty file begun, and
+    /// everything brought onto the medium, for nobody knows whether it is.
+    ///
+    /// # Errors
+    /// If the medium fails.
+    pub fn mend(&self, kind: &FileKind) -> Result<(), StorageError> {
+        let Shared { file, path, .. } = self.shared.as_ref();
+        let length = file.length_bytes().map_err(StorageError::io("read", path))?;
+        if self.is_torn_at_birth(kind, length)? {
+            let begun = file.truncate(0).and_then(|()| file.append(&log_header(kind)));
+            begun.map_err(StorageError::io("create", path))?;
+        } else if length > self.length_bytes() {
+            file.truncate(self.length_bytes()).map_err(StorageError::io("repair", path))?;
+        }
+        self.sync()
+    }
+
+    /// Whether a log of `length` bytes is new or was torn while it was made.
     fn is_torn_at_birth(&self, kind: &FileKind, length: u64) -> Result<bool, StorageError> {
+        if length > LOG_HEADER_BYTES {
+            return Ok(false);
+        }
         let mut there = vec![0; length as usize];
         self.shared.file.read_at(0, &mut there).map_err(StorageError::io("read", &self.shared.path))?;
         let header = log_header(kind);
         Ok(there != header && there.iter().zip(header).all(|(&byte, whole)| byte == whole || byte == 0))
-    }
-
-    fn begin(&self, kind: &FileKind, tail: Tail) -> Result<(), StorageError> {
-        let file = &self.shared.file;
-        let begin = || file.truncate(0).and_then(|()| file.append(&log_header(kind)));
-        match tail {
-            Tail::Sealed => Err(self.damaged(0)),
-            Tail::Ignored => Ok(()),
-            Tail::Mended => begin().map_err(StorageError::io("create", &self.shared.path)),
-        }
     }
 
     fn check_header(&self, kind: &FileKind) -> Result<(), StorageError> {
@@ -305,15 +315,6 @@ impl RecordLog {
         }
         self.shared.end.store(offset, Ordering::Release);
         Ok(recovery)
-    }
-
-    /// Cuts a torn tail off, and brings everything before it onto the medium: nobody knows whether it is.
-    fn mend(&self, recovery: Recovery) -> Result<(), StorageError> {
-        if recovery.torn_bytes > 0 {
-            let repair = StorageError::io("repair", &self.shared.path);
-            self.shared.file.truncate(self.length_bytes()).map_err(repair)?;
-        }
-        self.sync()
     }
 
     /// The header of the record at `offset`, and whether its payload was read; `None` if it is bad.

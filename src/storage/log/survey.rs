@@ -35,7 +35,37 @@ pub enum Surveyed<'a> {
     },
 }
 
+/// What stands at an offset of a log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Footing {
+    /// A record begins there, or the log ends.
+    Boundary,
+    /// It lies within a record.
+    Within,
+    /// A bad record before it hides where records begin.
+    Hidden {
+        /// Where that one is.
+        by: u64,
+    },
+}
+
 impl RecordLog {
+    /// What stands at `offset`, told by going from record to record, at `from` or the log's beginning first. No payload
+    /// is read.
+    ///
+    /// # Errors
+    /// If the medium fails.
+    pub fn footing(&self, from: u64, offset: u64) -> Result<Footing, StorageError> {
+        let mut at = from.max(LOG_HEADER_BYTES);
+        while at < offset {
+            match self.read_record(at, self.length_bytes(), None)? {
+                Some(header) => at += RECORD_HEADER_BYTES + u64::from(header.payload_bytes),
+                None => return Ok(Footing::Hidden { by: at }),
+            }
+        }
+        Ok(if at == offset { Footing::Boundary } else { Footing::Within })
+    }
+
     /// Reads the log in `file` to its end, going on behind every bad record, and changes nothing. What is bad in its
     /// first `durable_bytes`, which are known to have been on the medium, is damage and no torn tail.
     ///
@@ -49,7 +79,7 @@ impl RecordLog {
     ) -> Result<(), StorageError> {
         let length = file.length_bytes().map_err(StorageError::io("read", path))?;
         let log = Self::over(file, path);
-        if length <= LOG_HEADER_BYTES && log.is_torn_at_birth(kind, length)? {
+        if log.is_torn_at_birth(kind, length)? {
             if durable_bytes > 0 {
                 visit(Surveyed::Bad { offset: 0, envelope: None, length_bytes: length });
             } else if length > 0 {
