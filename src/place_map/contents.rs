@@ -15,9 +15,11 @@ pub(super) const MAX_NEIGHBOURS: usize = 8;
 pub(super) struct Location(u64);
 
 const OFFSET_BITS: u32 = 40;
+/// The largest number that a segment can have.
+pub(super) const MAX_SEGMENT: u32 = (1 << (u64::BITS - OFFSET_BITS)) - 1;
 
 impl Location {
-    /// The record at `offset` bytes, less than 2^40, of a segment.
+    /// The record at `offset` bytes, less than 2^40, of a segment, at most [`MAX_SEGMENT`].
     pub(super) fn new(segment: u32, offset: u64) -> Self {
         Self(u64::from(segment) << OFFSET_BITS | offset & ((1 << OFFSET_BITS) - 1))
     }

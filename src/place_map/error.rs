@@ -29,6 +29,12 @@ pub enum MapError {
         /// What they may take.
         budget_bytes: u64,
     },
+    /// Every number that an experience can have was given away.
+    #[error("the map has had {count} experiences, as many as it can count; begin a new one")]
+    OutOfNumbers {
+        /// How many there were.
+        count: u32,
+    },
     /// The map was opened for reading.
     #[error("the map is read-only")]
     ReadOnly,

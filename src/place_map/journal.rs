@@ -10,7 +10,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::contents::Location;
+use super::contents::{Location, MAX_SEGMENT};
 use super::format::{self, EXPERIENCE, ExperienceRecord, FEATURES, FeaturesRecord, KIND, THUMBNAIL};
 use super::replay::version_1_experience;
 use super::syncer::JournalSyncer;
@@ -35,6 +35,13 @@ impl Segment {
         match self {
             Self::Log(log) => log.length_bytes(),
             Self::Version1(journal) => journal.length_bytes(),
+        }
+    }
+
+    fn is_linked(&self) -> io::Result<bool> {
+        match self {
+            Self::Log(log) => log.is_linked(),
+            Self::Version1(journal) => journal.is_linked(),
         }
     }
 }
@@ -80,6 +87,10 @@ impl Journal {
         self.sync()?;
         let name = segment_name(number);
         let path = self.folder.path().join(&name);
+        if number > MAX_SEGMENT {
+            let reason = format!("a map has at most {MAX_SEGMENT} segments in its life; begin a new one");
+            return Err(StorageError::io("create", &path)(io::Error::other(reason)));
+        }
         let file = self.folder.open(&name, true).map_err(StorageError::io("create", &path))?;
         let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
         let (log, _) = RecordLog::open(file, (&KIND, &path), Tail::Mended, reading)?;
@@ -106,10 +117,17 @@ impl Journal {
         }
     }
 
-    /// Returns when everything appended would survive a power cut.
+    /// Returns when everything appended would survive a power cut, and fails if any segment was deleted.
     pub(super) fn sync(&self) -> Result<(), StorageError> {
         self.check()?;
-        self.syncer.try_sync()
+        self.syncer.try_sync()?;
+        for (&number, segment) in &self.segments {
+            let path = self.path_of(number);
+            if !segment.is_linked().map_err(StorageError::io("look at", &path))? {
+                return Err(StorageError::Deleted { path });
+            }
+        }
+        Ok(())
     }
 
     /// Fails if a sync in the background did.

@@ -1,28 +1,18 @@
-//! The map itself: opened from its folder, read, and grown record by record.
+//! The map itself, grown record by record.
 
-use std::fs;
-use std::io;
-use std::path::Path;
 use std::sync::Arc;
 
 use super::batch::Batch;
 use super::contents::{Contents, MAX_NEIGHBOURS};
 use super::format::{self, PLACE, PlaceRecord, THINNED, ThinnedRecord};
-use super::journal::{Journal, segment_numbers};
-use super::opening::Opened;
-use super::snapshot;
+use super::journal::Journal;
 use super::syncer::JournalSyncer;
 use super::thinning::{self, Glimpse};
 use super::upkeep::Upkeep;
 use super::{Durability, ExperienceId, MapError, MapOptions, Place, PlaceId, Traits};
 use crate::feature::Features;
 use crate::frame::Frame;
-use crate::storage::{
-    BESIDE_SUFFIX, DiskFolder, Envelope, Folder, MemoryFolder, RecordLog, Recovery, StorageError, WriterLock,
-};
-
-/// Times that a reader begins anew because a segment was deleted while it opened the map.
-pub(super) const READER_ATTEMPTS: u32 = 5;
+use crate::storage::{Envelope, Folder, RecordLog, Recovery, StorageError, WriterLock};
 
 /// An experience to be added to a place.
 #[derive(Clone, Copy)]
@@ -58,109 +48,22 @@ pub struct PlaceMap {
     pub(super) options: MapOptions,
     pub(super) upkeep: Upkeep,
     pub(super) recovery: Recovery,
-    snapshot_fault: Option<StorageError>,
+    pub(super) snapshot_fault: Option<StorageError>,
     /// The place of the experience before.
-    latest_place: Option<PlaceId>,
-    is_writable: bool,
+    pub(super) latest_place: Option<PlaceId>,
+    pub(super) is_writable: bool,
     /// Kept for as long as the map may be written.
-    _lock: Option<WriterLock>,
+    pub(super) _lock: Option<WriterLock>,
 }
 
 impl PlaceMap {
-    /// A map in memory, gone with the process; its journal takes at most the bytes that the disk's may.
-    ///
-    /// # Errors
-    /// Never in practice: memory takes every record.
-    pub fn in_memory(options: MapOptions) -> Result<Self, MapError> {
-        Self::open_folder(Arc::new(MemoryFolder::default()), Some(options), None)
-    }
-
-    /// Opens the map in `folder` for writing, or makes one. A torn tail of its journal is cut off.
-    ///
-    /// # Errors
-    /// If the folder cannot be written, another process writes it, or the journal is damaged.
-    pub fn open(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
-        fs::create_dir_all(folder).map_err(StorageError::io("create map folder", folder))?;
-        let lock = WriterLock::acquire(folder)?;
-        Self::open_folder(Arc::new(DiskFolder::new(folder)), Some(options), Some(lock))
-    }
-
-    /// Opens the map in `folder` for writing, as [`open`](Self::open), if there is one.
-    ///
-    /// # Errors
-    /// If there is none, or as for [`open`](Self::open).
-    pub fn open_existing(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
-        if !folder.is_dir() || segment_numbers(&DiskFolder::new(folder))?.is_empty() {
-            return Err(MapError::Missing { path: folder.to_owned() });
-        }
-        Self::open(folder, options)
-    }
-
-    /// Opens the map in `folder` for reading, as it is now; other processes may read and one may write it.
-    ///
-    /// # Errors
-    /// If there is no map or the journal is damaged.
-    pub fn open_read_only(folder: &Path) -> Result<Self, MapError> {
-        let opened = || Self::open_folder(Arc::new(DiskFolder::new(folder)), None, None);
-        let missing = || MapError::Missing { path: folder.to_owned() };
-        let mut map = opened();
-        for _ in 1..READER_ATTEMPTS {
-            match &map {
-                Err(MapError::Storage(StorageError::Io { source, .. }))
-                    if source.kind() == io::ErrorKind::NotFound =>
-                {
-                    if !folder.is_dir() {
-                        return Err(missing());
-                    }
-                    map = opened();
-                }
-                _ => break,
-            }
-        }
-        map.and_then(|map| if map.journal.active_number() == 0 { Err(missing()) } else { Ok(map) })
-    }
-
-    /// Opens the map in `folder`, for writing if there are `options`.
-    pub(super) fn open_folder(
-        folder: Arc<dyn Folder>,
-        options: Option<MapOptions>,
-        lock: Option<WriterLock>,
-    ) -> Result<Self, MapError> {
-        let (snapshot, unreadable) = match snapshot::read(folder.as_ref()) {
-            Ok(snapshot) => (snapshot, None),
-            Err(fault @ (StorageError::Damaged { .. } | StorageError::WrongKind { .. })) => {
-                (None, Some(fault))
-            }
-            Err(error) => return Err(error.into()),
-        };
-        let length_bytes = snapshot.as_ref().map_or(0, |snapshot| snapshot.length_bytes);
-        let is_writable = options.is_some();
-        let Opened { journal, contents, recovery, snapshot_fault } =
-            Journal::open(&folder, is_writable, snapshot)?;
-        if is_writable {
-            remove_leftovers(folder.as_ref())?;
-        }
-        Ok(Self {
-            contents,
-            journal,
-            folder,
-            options: options.unwrap_or_default(),
-            upkeep: Upkeep::new(length_bytes),
-            recovery,
-            snapshot_fault: unreadable.or(snapshot_fault),
-            latest_place: None,
-            is_writable,
-            _lock: lock,
-        })
-    }
-
     /// Adds an experience to `place`, or to a new one, and forgets what the budget has no room for.
     ///
     /// # Errors
     /// If there is no such place, the map is full or read-only, or the medium fails. After a failure of the medium
     /// the map stays as it is: every further change fails.
     pub fn learn(&mut self, place: Option<PlaceId>, new: &NewExperience<'_>) -> Result<Learnt, MapError> {
-        let id = ExperienceId(self.contents.next_experience);
+        let id = self.next_experience()?;
         let place = match place {
             Some(place) => self.existing(place)?,
             None => PlaceId(self.contents.places.len() as u32),
@@ -262,6 +165,17 @@ impl PlaceMap {
     #[must_use]
     pub fn snapshot_fault(&self) -> Option<&StorageError> {
         self.snapshot_fault.as_ref()
+    }
+
+    /// The number of the next experience.
+    ///
+    /// # Errors
+    /// If there is none left.
+    pub(super) fn next_experience(&self) -> Result<ExperienceId, MapError> {
+        match self.contents.next_experience {
+            count @ u32::MAX => Err(MapError::OutOfNumbers { count }),
+            next => Ok(ExperienceId(next)),
+        }
     }
 
     fn existing(&self, place: PlaceId) -> Result<PlaceId, MapError> {
@@ -378,13 +292,4 @@ fn add_neighbour(record: &mut PlaceRecord, neighbour: PlaceId) -> bool {
     }
     record.neighbours.push(neighbour.0);
     true
-}
-
-/// Files that a power cut left beside those that they were to replace.
-fn remove_leftovers(folder: &dyn Folder) -> Result<(), StorageError> {
-    let names = folder.names().map_err(StorageError::io("list", folder.path()))?;
-    for name in names.iter().filter(|name| name.starts_with("snapshot") && name.ends_with(BESIDE_SUFFIX)) {
-        folder.remove(name).map_err(StorageError::io("delete", &folder.path().join(name)))?;
-    }
-    Ok(())
 }

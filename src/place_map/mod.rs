@@ -5,7 +5,7 @@
 //! journal and are read when they are needed.
 //!
 //! Everything goes through the journal: the map in memory is what replaying it gives, whether a record was just
-//! written or read after a restart. `journal` keeps the segments, `opening` reads them, `snapshot` saves reading them all,
+//! written or read after a restart. `journal` keeps the segments, `recovery` reads them, `snapshot` saves reading them all,
 //! `thinning` says what to give up when the map is to stay within its budget.
 
 mod absorb;
@@ -21,6 +21,7 @@ mod options;
 #[cfg(test)]
 mod power_cut_tests;
 mod reading;
+mod recovery;
 mod replay;
 mod snapshot;
 mod syncer;

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::Experience;
-use super::contents::{Contents, Location};
+use super::contents::{Contents, Location, MAX_SEGMENT};
 use super::format::{FEATURES, KIND, THUMBNAIL};
 use super::journal::{Journal, Position, Segment, missing, segment_name, segment_numbers};
 use super::replay::{apply, apply_version_1};
@@ -176,7 +176,11 @@ impl Journal {
                 self.syncer.follow(log);
                 Ok(())
             }
-            Some((&last, Segment::Version1(_))) => self.begin_segment(last + 1),
+            Some((&last, Segment::Version1(journal))) => {
+                // Whoever wrote it may have left that to the system.
+                journal.sync()?;
+                self.begin_segment(last + 1)
+            }
             None => self.begin_segment(1),
         }
     }
@@ -199,6 +203,11 @@ fn open_files(folder: &dyn Folder, writable: bool) -> Result<Vec<SegmentFile>, S
         Ok(SegmentFile { number, path, file, length_bytes, tail })
     };
     let (Some(&first), Some(&last)) = (numbers.first(), numbers.last()) else { return Ok(Vec::new()) };
+    if last > MAX_SEGMENT {
+        let reason = format!("a segment's number is at most {MAX_SEGMENT}; move it away");
+        let path = folder.path().join(segment_name(last));
+        return Err(StorageError::io("open", &path)(io::Error::other(reason)));
+    }
     (first..=last).map(open).collect()
 }
 

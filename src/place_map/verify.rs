@@ -8,10 +8,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::contents::{Contents, Location};
+use super::contents::{Contents, Location, MAX_SEGMENT};
 use super::inspection::{Flaw, Inspected, Said, inspect};
 use super::journal::{Position, segment_name, segment_numbers};
-use super::map::{PlaceMap, READER_ATTEMPTS};
+use super::map::PlaceMap;
+use super::opening::READER_ATTEMPTS;
 use super::snapshot::{self, Snapshot};
 use super::{Experience, MapError};
 use crate::storage::{AppendFile, DiskFolder, Folder, LOG_HEADER_BYTES, StorageError};
@@ -214,6 +215,11 @@ impl<'a> Verifier<'a> {
         let mut segments = Vec::new();
         for number in numbers {
             let path = self.path_of(number);
+            if number > MAX_SEGMENT {
+                let reason = format!("a segment's number is at most {MAX_SEGMENT}");
+                self.found.add_damage(path, None, reason);
+                continue;
+            }
             let opened = self.folder.open(&segment_name(number), false);
             match opened.and_then(|file| file.length_bytes().map(|length_bytes| (file, length_bytes))) {
                 Ok((file, length_bytes)) => segments.push(OpenSegment { number, path, file, length_bytes }),

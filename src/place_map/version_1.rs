@@ -6,6 +6,7 @@
 //! is learnt goes into the next segment.
 
 use std::f32::consts::PI;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -208,6 +209,22 @@ impl Journal {
         let Some((payload, _)) = self.read_frame(offset, self.end)? else { return Err(self.damaged(offset)) };
         let damaged = |reason| StorageError::Damaged { path: self.path.clone(), reason };
         Record::decode(&payload).map_err(|reason| damaged(format!("record at byte {offset}: {reason}")))
+    }
+
+    /// Returns when all of it would survive a power cut.
+    ///
+    /// # Errors
+    /// If the medium fails.
+    pub(super) fn sync(&self) -> Result<(), StorageError> {
+        self.file.sync().map_err(StorageError::io("sync", &self.path))
+    }
+
+    /// Whether the file still has a name.
+    ///
+    /// # Errors
+    /// What the medium says.
+    pub(super) fn is_linked(&self) -> io::Result<bool> {
+        self.file.is_linked()
     }
 
     /// Length in bytes.

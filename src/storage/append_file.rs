@@ -4,6 +4,7 @@ use std::fs::{File, TryLockError};
 use std::io::{self, Write};
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::StorageError;
@@ -39,6 +40,20 @@ pub trait AppendFile: Send + Sync {
     /// # Errors
     /// What the medium says, and that the file was deleted meanwhile.
     fn sync(&self) -> io::Result<()>;
+
+    /// Whether the file still has a name. One that was deleted takes every byte and keeps none.
+    ///
+    /// # Errors
+    /// What the medium says.
+    fn is_linked(&self) -> io::Result<bool>;
+}
+
+/// Fails if `file`, which was just synced, has no name any more.
+pub(super) fn refuse_deleted(file: &dyn AppendFile) -> io::Result<()> {
+    match file.is_linked()? {
+        true => Ok(()),
+        false => Err(io::Error::other("it was deleted while it was being written")),
+    }
 }
 
 /// A file on a disk.
@@ -93,27 +108,35 @@ impl AppendFile for DiskFile {
 
     fn sync(&self) -> io::Result<()> {
         self.0.sync_data()?;
-        // A deleted file takes every byte and keeps none.
-        match self.0.metadata()?.nlink() {
-            0 => Err(io::Error::other("it was deleted while it was being written")),
-            _ => Ok(()),
-        }
+        refuse_deleted(self)
+    }
+
+    fn is_linked(&self) -> io::Result<bool> {
+        Ok(self.0.metadata()?.nlink() > 0)
     }
 }
 
 /// A file in memory, gone with the process.
 #[derive(Debug, Default)]
-pub struct MemoryFile(Mutex<Vec<u8>>);
+pub struct MemoryFile {
+    bytes: Mutex<Vec<u8>>,
+    is_deleted: AtomicBool,
+}
 
 impl MemoryFile {
     /// A file that holds `bytes`.
     #[must_use]
     pub fn new(bytes: Vec<u8>) -> Self {
-        Self(Mutex::new(bytes))
+        Self { bytes: Mutex::new(bytes), is_deleted: AtomicBool::new(false) }
+    }
+
+    /// From now on it has no name.
+    pub(super) fn delete(&self) {
+        self.is_deleted.store(true, Ordering::Release);
     }
 
     fn bytes(&self) -> MutexGuard<'_, Vec<u8>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.bytes.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -141,7 +164,11 @@ impl AppendFile for MemoryFile {
     }
 
     fn sync(&self) -> io::Result<()> {
-        Ok(())
+        refuse_deleted(self)
+    }
+
+    fn is_linked(&self) -> io::Result<bool> {
+        Ok(!self.is_deleted.load(Ordering::Acquire))
     }
 }
 

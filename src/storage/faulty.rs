@@ -14,20 +14,22 @@
 //! What is missing of an append before other bytes is found as zeros, and so may be what is missing at its end,
 //! or some of it: a file's length and its bytes reach the medium each in their own time.
 //!
-//! Whatever is kept of one file or folder is kept in the order in which it was done. So a truncation may be
-//! lost of which a later append is kept, which is then found amid the old bytes. Bytes that were synced are
-//! never hurt by what is appended behind them, even in the same sector.
+//! Whatever is kept of one file or folder is kept in the order in which it was done. So a truncation may be lost of
+//! which a later append is kept, then found amid the old bytes. Synced bytes are never hurt by what is appended.
 
 use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::append_file::AppendFile;
+use super::append_file::{AppendFile, refuse_deleted};
 use super::folder::Folder;
 
 /// What reaches the medium, or does not, whatever happens to the bytes before and behind.
 const SECTOR_BYTES: usize = 512;
+
+/// The number of an input/output error on Linux.
+const EIO: i32 = 5;
 
 /// Answers which of so many ways, at least two, a thing went that power may have cut: 0 is "lost", the last
 /// one "kept whole".
@@ -42,23 +44,27 @@ type Names = BTreeMap<String, usize>;
 pub(crate) struct FaultyFolder(Arc<Mutex<Medium>>);
 
 impl FaultyFolder {
-    /// Number of changing operations so far: appends, truncations, syncs of files, files made, renamed and
-    /// removed, syncs of the folder. Those count that were refused for lack of space or cut by the power, but
-    /// not those tried without power or on a name that is not there. Opening an existing file and reading do
-    /// not count.
+    /// Number of changing operations so far: appends, truncations, syncs of files, files made, renamed and removed,
+    /// syncs of the folder. Those count that failed or were cut by the power, but not those tried without power or on a
+    /// name that is not there. Opening an existing file and reading do not count.
     pub(crate) fn operations(&self) -> u64 {
         self.medium().operations
     }
 
-    /// Cuts the power in the midst of operation number `operation`, counted from 0: it may have had its effect
-    /// or not, and it and whatever is tried later fails, reading too, with `BrokenPipe`. If there have been more
-    /// operations already, power is cut at once.
+    /// Cuts the power in the midst of operation number `operation`, counted from 0: it may have had its effect or not,
+    /// and it and whatever is tried later fails, reading too, with `BrokenPipe`. If it is past, power is cut at once.
     pub(crate) fn cut_power_at(&self, operation: u64) {
         self.medium().cut_at = Some(operation);
     }
 
-    /// From operation number `operation` on, counted from 0, every append is refused with `StorageFull` after
-    /// half of its bytes were taken. Everything else goes on working.
+    /// Operation number `operation` alone fails, with an input/output error and no effect but for half of an append.
+    /// A sync that does gives up what it was to bring to the medium, as systems do: it can be read, but no later sync
+    /// brings it.
+    pub(crate) fn fail_at(&self, operation: u64) {
+        self.medium().failing = Some(operation);
+    }
+
+    /// From operation number `operation` on, every append is refused with `StorageFull` after half of its bytes.
     pub(crate) fn fill_up_at(&self, operation: u64) {
         self.medium().full_from = Some(operation);
     }
@@ -168,11 +174,12 @@ impl AppendFile for FaultyFile {
 
     fn append(&self, bytes: &[u8]) -> io::Result<()> {
         let mut medium = self.medium_to_write()?;
-        let is_full = medium.is_full();
-        let taken = if is_full { &bytes[..bytes.len() / 2] } else { bytes };
+        let full = medium.full_from.is_some_and(|from| from <= medium.operations);
+        let refusal = full.then(|| io::ErrorKind::StorageFull.into()).or_else(|| medium.failure());
+        let taken = if refusal.is_some() { &bytes[..bytes.len() / 2] } else { bytes };
         let at = medium.files[self.index].bytes.len();
         medium.write(self.index, Write::Appended { at, bytes: taken.to_vec() })?;
-        if is_full { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) }
+        refusal.map_or(Ok(()), Err)
     }
 
     fn truncate(&self, length_bytes: u64) -> io::Result<()> {
@@ -182,13 +189,21 @@ impl AppendFile for FaultyFile {
 
     fn sync(&self) -> io::Result<()> {
         let mut medium = self.folder.medium();
+        if let Some(failure) = medium.failure() {
+            medium.files[self.index].forget_pending();
+            medium.operate(|_| ())?;
+            return Err(failure);
+        }
         medium.operate(|_| ())?;
         medium.files[self.index].sync();
-        if medium.is_named(self.index) {
-            Ok(())
-        } else {
-            Err(io::Error::other("it was deleted while it was being written"))
-        }
+        drop(medium);
+        refuse_deleted(self)
+    }
+
+    fn is_linked(&self) -> io::Result<bool> {
+        let medium = self.folder.medium();
+        medium.check_power()?;
+        Ok(medium.is_named(self.index))
     }
 }
 
@@ -205,6 +220,7 @@ struct Medium {
     operations: u64,
     cut_at: Option<u64>,
     full_from: Option<u64>,
+    failing: Option<u64>,
 }
 
 impl Medium {
@@ -220,13 +236,17 @@ impl Medium {
     /// Does what can be lost until it is synced, and fails if power is cut before or in the midst of it.
     fn operate(&mut self, operation: impl FnOnce(&mut Self)) -> io::Result<()> {
         self.check_power()?;
-        operation(self);
+        let failure = self.failure();
+        if failure.is_none() {
+            operation(self);
+        }
         self.operations += 1;
-        self.check_power()
+        failure.map_or_else(|| self.check_power(), Err)
     }
 
-    fn is_full(&self) -> bool {
-        self.full_from.is_some_and(|from| from <= self.operations)
+    /// The error of the next operation, if it is the one that is to fail.
+    fn failure(&mut self) -> Option<io::Error> {
+        self.failing.take_if(|failing| *failing == self.operations).map(|_| io::Error::from_raw_os_error(EIO))
     }
 
     fn index_of(&self, name: &str) -> io::Result<usize> {
@@ -300,6 +320,15 @@ struct FileOnMedium {
 }
 
 impl FileOnMedium {
+    /// What was appended since the last sync will not be brought to the medium any more.
+    fn forget_pending(&mut self) {
+        for write in &mut self.pending {
+            if let Write::Appended { bytes, .. } = write {
+                bytes.fill(0);
+            }
+        }
+    }
+
     fn sync(&mut self) {
         for write in self.pending.drain(..) {
             write.apply(&mut self.durable);
@@ -752,5 +781,35 @@ mod tests {
         assert_eq!(replace(&folder, "a", &[&[2; 4]]).unwrap_err().kind(), io::ErrorKind::StorageFull);
         assert_eq!(folder.names().unwrap(), ["a"]);
         assert_eq!(outcomes(&folder, "a"), BTreeSet::from([Some(vec![1])]));
+    }
+
+    #[test]
+    fn an_operation_that_is_to_fail_does_so_once_and_the_others_work() {
+        let (folder, file) = with_ones(1);
+        let fail_next = || folder.fail_at(folder.operations());
+        fail_next();
+        assert_eq!(file.append(&[2; 4]).unwrap_err().raw_os_error(), Some(EIO));
+        assert_eq!(found(&folder, "a").unwrap(), [1, 2, 2]);
+        fail_next();
+        assert!(file.truncate(1).is_err() && found(&folder, "a").unwrap().len() == 3);
+        file.truncate(1).unwrap();
+        fail_next();
+        assert!(folder.rename("a", "b").is_err() && folder.names().unwrap() == ["a"]);
+        fail_next();
+        assert!(folder.remove("a").is_err() && folder.sync().is_ok());
+        fail_next();
+        assert!(folder.open("b", true).is_err() && folder.names().unwrap() == ["a"]);
+    }
+
+    #[test]
+    fn what_a_sync_that_failed_was_to_bring_is_not_brought_by_a_later_one() {
+        let (folder, file) = with_ones(1);
+        file.append(&[2]).unwrap();
+        folder.fail_at(folder.operations());
+        file.sync().unwrap_err();
+        file.append(&[3]).unwrap();
+        file.sync().unwrap();
+        assert_eq!(found(&folder, "a").unwrap(), [1, 2, 3], "it can still be read");
+        assert_eq!(outcomes(&folder, "a"), BTreeSet::from([Some(vec![1, 0, 3])]));
     }
 }

@@ -112,6 +112,22 @@ impl Folder for DiskFolder {
     }
 }
 
+/// Makes the folder at `path` and those above it that are missing; what was made stays after a power cut.
+///
+/// # Errors
+/// What the medium says.
+pub fn create_folders(path: &Path) -> io::Result<()> {
+    let changed = changed_by_creating(path);
+    fs::create_dir_all(path)?;
+    changed.into_iter().try_for_each(|folder| DiskFolder::new(folder).sync())
+}
+
+/// The folders that get another one in them when `path` is made.
+fn changed_by_creating(path: &Path) -> Vec<&Path> {
+    let missing = path.ancestors().take_while(|folder| !folder.as_os_str().is_empty() && !folder.exists());
+    missing.map(|folder| folder.parent().unwrap_or(folder)).collect()
+}
+
 /// A folder in memory, gone with the process.
 #[derive(Default)]
 pub struct MemoryFolder(Mutex<BTreeMap<String, Arc<MemoryFile>>>);
@@ -143,12 +159,15 @@ impl Folder for MemoryFolder {
     fn rename(&self, from: &str, to: &str) -> io::Result<()> {
         let mut files = self.files();
         let file = files.remove(from).ok_or(io::ErrorKind::NotFound)?;
-        files.insert(to.to_owned(), file);
+        if let Some(replaced) = files.insert(to.to_owned(), file) {
+            replaced.delete();
+        }
         Ok(())
     }
 
     fn remove(&self, name: &str) -> io::Result<()> {
-        self.files().remove(name).map(drop).ok_or_else(|| io::ErrorKind::NotFound.into())
+        self.files().remove(name).ok_or(io::ErrorKind::NotFound)?.delete();
+        Ok(())
     }
 
     fn sync(&self) -> io::Result<()> {
@@ -176,15 +195,32 @@ mod tests {
             let folder = folder.as_ref();
             assert_eq!(folder.open("a", false).err().unwrap().kind(), io::ErrorKind::NotFound);
             folder.open("a", true).unwrap().append(b"old").unwrap();
+            let replaced = folder.open("a", true).unwrap();
             replace(folder, "b", &[b"ne", b"w"]).unwrap();
             folder.rename("b", "a").unwrap();
+            assert!(!replaced.is_linked().unwrap());
+            assert!(replaced.sync().unwrap_err().to_string().contains("deleted"));
             assert_eq!(content(folder, "a"), b"new");
             assert_eq!(folder.names().unwrap(), ["a"]);
             let still_open = folder.open("a", false).unwrap();
+            assert!(still_open.is_linked().unwrap());
             folder.remove("a").unwrap();
+            assert!(!still_open.is_linked().unwrap());
             folder.sync().unwrap();
             assert_eq!(folder.remove("a").unwrap_err().kind(), io::ErrorKind::NotFound);
             assert_eq!(still_open.length_bytes().unwrap(), 3);
         }
+    }
+
+    #[test]
+    fn every_folder_that_a_new_one_changes_is_synced() {
+        let disk = tempfile::tempdir().unwrap();
+        let [maps, site] = ["maps", "maps/site"].map(|name| disk.path().join(name));
+        assert_eq!(changed_by_creating(&site), [&maps, disk.path()]);
+        create_folders(&site).unwrap();
+        assert!(site.is_dir());
+        assert_eq!(changed_by_creating(&site), [] as [&Path; 0]);
+        create_folders(&site).unwrap();
+        assert_eq!(changed_by_creating(Path::new("surely/not there")), [Path::new("surely"), Path::new("")]);
     }
 }

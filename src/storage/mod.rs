@@ -13,7 +13,7 @@ mod record;
 mod replace;
 
 pub use append_file::{AppendFile, DiskFile, MemoryFile};
-pub use folder::{BESIDE_SUFFIX, DiskFolder, Folder, MemoryFolder, replace};
+pub use folder::{BESIDE_SUFFIX, DiskFolder, Folder, MemoryFolder, create_folders, replace};
 pub use header::{FileKind, HEADER_BYTES, checksum};
 pub use lock::WriterLock;
 pub use log::{
@@ -82,6 +82,12 @@ pub enum StorageError {
         path: PathBuf,
         /// What does not fit, and where.
         reason: String,
+    },
+    /// Somebody deleted the file while it was open.
+    #[error("{} was deleted while the map was in use; restore it from a copy", path.display())]
+    Deleted {
+        /// The file.
+        path: PathBuf,
     },
     /// The snapshot is whole, but not of the journal beside it.
     #[error("{} is not of this journal: {reason}; the next run that learns replaces it", path.display())]

@@ -18,17 +18,20 @@
 //! log, unless a record behind it testifies, by its d, that it had been on the medium: then it is damage,
 //! and never cut off in silence.
 
+mod shared;
 mod survey;
 
+pub use shared::LogSyncer;
 pub use survey::{Footing, Surveyed};
 
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 
 use super::record::{Envelope, HEADER_BYTES, RecordHeader};
 use super::{AppendFile, FileKind, StorageError};
+use shared::Shared;
 
 /// Bytes of a log before its first record.
 pub const LOG_HEADER_BYTES: u64 = 16;
@@ -77,54 +80,9 @@ pub struct Recovery {
     pub torn_bytes: u64,
 }
 
-/// A log's bytes, as its writer and those who sync it share them.
-struct Shared {
-    file: Arc<dyn AppendFile>,
-    path: PathBuf,
-    /// Bytes up to the end of the last whole record.
-    end: AtomicU64,
-    /// Bytes that are on the medium for certain.
-    durable: AtomicU64,
-    /// A sync failed. The system may have thrown away what it could not write, and a further one succeed.
-    has_failed: AtomicBool,
-}
-
-impl Shared {
-    fn sync(&self) -> Result<(), StorageError> {
-        let end = self.end.load(Ordering::Acquire);
-        if self.durable.load(Ordering::Acquire) >= end {
-            return Ok(());
-        }
-        let synced = match self.has_failed.load(Ordering::Acquire) {
-            true => Err(io::Error::other("an earlier sync failed, what it lost is unknown")),
-            false => self.file.sync(),
-        };
-        self.has_failed.fetch_or(synced.is_err(), Ordering::AcqRel);
-        synced.map_err(StorageError::io("sync", &self.path))?;
-        self.durable.fetch_max(end, Ordering::Release);
-        Ok(())
-    }
-}
-
-/// Brings what was appended to a log onto its medium, from any thread.
-#[derive(Clone)]
-pub struct LogSyncer(Arc<Shared>);
-
-impl LogSyncer {
-    /// Returns when every record appended before the call would survive a power cut.
-    ///
-    /// # Errors
-    /// If the medium fails. What it lost then is unknown, so the log must not be written any more.
-    pub fn sync(&self) -> Result<(), StorageError> {
-        self.0.sync()
-    }
-}
-
 /// An append-only log of checksummed records.
 pub struct RecordLog {
     shared: Arc<Shared>,
-    /// A half-written record could not be cut off.
-    is_broken: bool,
 }
 
 impl RecordLog {
@@ -156,14 +114,7 @@ impl RecordLog {
 
     /// A log whose file was not looked at yet.
     fn over(file: Arc<dyn AppendFile>, path: &Path) -> Self {
-        let shared = Shared {
-            file,
-            path: path.to_owned(),
-            end: AtomicU64::new(LOG_HEADER_BYTES),
-            durable: AtomicU64::new(0),
-            has_failed: AtomicBool::new(false),
-        };
-        Self { shared: Arc::new(shared), is_broken: false }
+        Self { shared: Arc::new(Shared::new(file, path, LOG_HEADER_BYTES)) }
     }
 
     /// Adds records, all in one write, and answers their offsets. They survive a power cut once
@@ -173,9 +124,7 @@ impl RecordLog {
     /// If a payload is empty or longer than 16 MiB or the medium fails; the log then ends where it did.
     pub fn append(&mut self, records: &[(Envelope, &[u8])]) -> Result<Vec<u64>, StorageError> {
         let error = |source| StorageError::Io { action: "append to", path: self.shared.path.clone(), source };
-        if self.is_broken {
-            return Err(error(io::Error::other("a half-written record is at its end")));
-        }
+        self.shared.check().map_err(error)?;
         let end = self.shared.end.load(Ordering::Acquire);
         let durable = self.shared.durable.load(Ordering::Acquire);
         let mut framed = Vec::new();
@@ -190,11 +139,8 @@ impl RecordLog {
             framed.extend_from_slice(payload);
         }
         if let Err(source) = self.shared.file.append(&framed) {
-            let error = error(source);
-            // A half-written record must not end up in the middle of the log, nor come back after a power cut.
-            let file = &self.shared.file;
-            self.is_broken = file.truncate(end).and_then(|()| file.sync()).is_err();
-            return Err(error);
+            self.shared.cut(end);
+            return Err(error(source));
         }
         self.shared.end.store(end + framed.len() as u64, Ordering::Release);
         Ok(offsets)
@@ -230,6 +176,14 @@ impl RecordLog {
     #[must_use]
     pub fn syncer(&self) -> LogSyncer {
         LogSyncer(Arc::clone(&self.shared))
+    }
+
+    /// Whether the file still has a name: one that was deleted is gone with this process.
+    ///
+    /// # Errors
+    /// What the medium says.
+    pub fn is_linked(&self) -> io::Result<bool> {
+        self.shared.file.is_linked()
     }
 
     /// Length of the log in bytes.

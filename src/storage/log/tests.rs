@@ -1,5 +1,7 @@
 //! The log, written, cut and bent.
 
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
 use super::*;
 use crate::storage::faulty::FaultyFolder;
 use crate::storage::record::MAX_PAYLOAD_BYTES;
@@ -143,6 +145,9 @@ fn a_medium_that_refuses_half_a_record_leaves_the_log_as_it_was() {
         fn sync(&self) -> io::Result<()> {
             Ok(())
         }
+        fn is_linked(&self) -> io::Result<bool> {
+            Ok(true)
+        }
     }
     let file = Arc::new(FullFile(MemoryFile::default()));
     let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
@@ -179,7 +184,71 @@ fn after_a_sync_that_failed_no_other_one_succeeds() {
     folder.remove("log").unwrap();
     log.append(&[(NOTE, b"lost")]).unwrap();
     assert!(log.sync().unwrap_err().to_string().contains("deleted"));
-    assert!(log.syncer().sync().unwrap_err().to_string().contains("an earlier sync failed"));
+    assert!(log.syncer().sync().unwrap_err().to_string().contains("the medium failed before"));
+    assert!(log.append(&[(NOTE, b"more")]).unwrap_err().to_string().contains("the medium failed before"));
+}
+
+#[test]
+fn no_sync_succeeds_beside_one_that_fails() {
+    /// Its first sync takes a while and fails; the system then forgets what it could not write.
+    #[derive(Default)]
+    struct ForgetfulFile {
+        memory: MemoryFile,
+        syncs: AtomicU64,
+        is_failing: AtomicBool,
+    }
+    impl AppendFile for ForgetfulFile {
+        fn length_bytes(&self) -> io::Result<u64> {
+            self.memory.length_bytes()
+        }
+        fn read_at(&self, offset: u64, buffer: &mut [u8]) -> io::Result<()> {
+            self.memory.read_at(offset, buffer)
+        }
+        fn append(&self, bytes: &[u8]) -> io::Result<()> {
+            self.memory.append(bytes)
+        }
+        fn truncate(&self, length_bytes: u64) -> io::Result<()> {
+            self.memory.truncate(length_bytes)
+        }
+        fn sync(&self) -> io::Result<()> {
+            if self.is_failing.load(Ordering::Acquire) && self.syncs.fetch_add(1, Ordering::AcqRel) == 0 {
+                std::thread::sleep(std::time::Duration::from_millis(100));
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            Ok(())
+        }
+        fn is_linked(&self) -> io::Result<bool> {
+            Ok(true)
+        }
+    }
+    let file = Arc::new(ForgetfulFile::default());
+    let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
+    let (mut log, _) =
+        RecordLog::open(file.clone(), (&KIND, Path::new("log")), Tail::Mended, reading).unwrap();
+    log.append(&[(NOTE, b"lost")]).unwrap();
+    file.is_failing.store(true, Ordering::Release);
+    std::thread::scope(|scope| {
+        let syncer = log.syncer();
+        let first = scope.spawn(move || syncer.sync());
+        while file.syncs.load(Ordering::Acquire) == 0 {
+            std::thread::yield_now();
+        }
+        assert!(log.sync().is_err());
+        assert!(first.join().unwrap().is_err());
+    });
+}
+
+#[test]
+fn a_log_whose_refused_record_could_not_be_cut_off_is_never_synced_nor_written_again() {
+    let folder = FaultyFolder::default();
+    let file = folder.open("log", true).unwrap();
+    let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
+    let (mut log, _) = RecordLog::open(file, (&KIND, Path::new("log")), Tail::Mended, reading).unwrap();
+    folder.fill_up_at(folder.operations());
+    folder.fail_at(folder.operations() + 2);
+    log.append(&[(NOTE, &[7; 3000])]).unwrap_err();
+    assert!(log.syncer().sync().unwrap_err().to_string().contains("the medium failed before"));
+    assert!(log.append(&[(NOTE, b"x")]).unwrap_err().to_string().contains("the medium failed before"));
 }
 
 /// What a survey finds: 'w'hole, 'b'ad or 't'orn, with offset and length.

@@ -1,0 +1,167 @@
+//! How a map is opened: in memory, for the one who writes it, or for anybody who reads it meanwhile.
+
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::journal::{Journal, segment_numbers};
+use super::map::PlaceMap;
+use super::recovery::Opened;
+use super::snapshot;
+use super::upkeep::Upkeep;
+use super::{MapError, MapOptions};
+use crate::storage::{
+    BESIDE_SUFFIX, DiskFolder, Folder, MemoryFolder, StorageError, WriterLock, create_folders,
+};
+
+/// Times that a reader begins anew because a segment was deleted while it opened the map.
+pub(super) const READER_ATTEMPTS: u32 = 5;
+
+impl PlaceMap {
+    /// A map in memory, gone with the process; its journal takes at most the bytes that the disk's may.
+    ///
+    /// # Errors
+    /// Never in practice: memory takes every record.
+    pub fn in_memory(options: MapOptions) -> Result<Self, MapError> {
+        Self::open_folder(Arc::new(MemoryFolder::default()), Some(options), None)
+    }
+
+    /// Opens the map in `folder` for writing, or makes one. A torn tail of its journal is cut off.
+    ///
+    /// # Errors
+    /// If the folder cannot be written, another process writes it, or the journal is damaged.
+    pub fn open(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
+        create_folders(folder).map_err(StorageError::io("create map folder", folder))?;
+        let lock = WriterLock::acquire(folder)?;
+        Self::open_folder(Arc::new(DiskFolder::new(folder)), Some(options), Some(lock))
+    }
+
+    /// Opens the map in `folder` for writing, as [`open`](Self::open), if there is one.
+    ///
+    /// # Errors
+    /// If there is none, or as for [`open`](Self::open).
+    pub fn open_existing(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
+        if !folder.is_dir() || segment_numbers(&DiskFolder::new(folder))?.is_empty() {
+            return Err(MapError::Missing { path: folder.to_owned() });
+        }
+        Self::open(folder, options)
+    }
+
+    /// Opens the map in `folder` for reading, as it is now; other processes may read and one may write it.
+    ///
+    /// # Errors
+    /// If there is no map or the journal is damaged.
+    pub fn open_read_only(folder: &Path) -> Result<Self, MapError> {
+        let missing = || MapError::Missing { path: folder.to_owned() };
+        if !folder.is_dir() {
+            return Err(missing());
+        }
+        let map =
+            opened_beside_a_writer(|| Self::open_folder(Arc::new(DiskFolder::new(folder)), None, None))?;
+        if map.journal.active_number() == 0 { Err(missing()) } else { Ok(map) }
+    }
+
+    /// Opens the map in `folder`, for writing if there are `options`.
+    pub(super) fn open_folder(
+        folder: Arc<dyn Folder>,
+        options: Option<MapOptions>,
+        lock: Option<WriterLock>,
+    ) -> Result<Self, MapError> {
+        let (snapshot, unreadable) = match snapshot::read(folder.as_ref()) {
+            Ok(snapshot) => (snapshot, None),
+            Err(fault @ (StorageError::Damaged { .. } | StorageError::WrongKind { .. })) => {
+                (None, Some(fault))
+            }
+            Err(error) => return Err(error.into()),
+        };
+        let length_bytes = snapshot.as_ref().map_or(0, |snapshot| snapshot.length_bytes);
+        let is_writable = options.is_some();
+        let Opened { journal, contents, recovery, snapshot_fault } =
+            Journal::open(&folder, is_writable, snapshot)?;
+        if is_writable {
+            remove_leftovers(folder.as_ref())?;
+        }
+        Ok(Self {
+            contents,
+            journal,
+            folder,
+            options: options.unwrap_or_default(),
+            upkeep: Upkeep::new(length_bytes),
+            recovery,
+            snapshot_fault: unreadable.or(snapshot_fault),
+            latest_place: None,
+            is_writable,
+            _lock: lock,
+        })
+    }
+}
+
+/// What `open` answers, asked again where it may have met a writer at work.
+fn opened_beside_a_writer(
+    mut open: impl FnMut() -> Result<PlaceMap, MapError>,
+) -> Result<PlaceMap, MapError> {
+    let mut attempts = 0;
+    loop {
+        let opened = open();
+        let doubt = match &opened {
+            Ok(map) => map.snapshot_fault.as_ref(),
+            Err(MapError::Storage(error)) => Some(error),
+            Err(_) => None,
+        };
+        attempts += 1;
+        if attempts >= doubt.map_or(1, attempts_after) {
+            return opened;
+        }
+    }
+}
+
+/// How often a reader tries at most that was told this.
+fn attempts_after(error: &StorageError) -> u32 {
+    match error {
+        StorageError::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => READER_ATTEMPTS,
+        StorageError::Io { source, .. } if source.kind() == io::ErrorKind::UnexpectedEof => 2,
+        StorageError::Damaged { .. } | StorageError::Foreign { .. } => 2,
+        _ => 1,
+    }
+}
+
+/// Files that a power cut left beside those that they were to replace.
+fn remove_leftovers(folder: &dyn Folder) -> Result<(), StorageError> {
+    let names = folder.names().map_err(StorageError::io("list", folder.path()))?;
+    for name in names.iter().filter(|name| name.starts_with("snapshot") && name.ends_with(BESIDE_SUFFIX)) {
+        folder.remove(name).map_err(StorageError::io("delete", &folder.path().join(name)))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reader_that_met_a_writer_at_work_tries_again_and_a_damaged_map_is_read_twice_at_most() {
+        let io = |kind: io::ErrorKind| StorageError::io("read", Path::new("segment"))(kind.into());
+        let damaged = || StorageError::Damaged { path: "segment".into(), reason: "bad record".into() };
+        let errors: [(&dyn Fn() -> StorageError, u32); 4] = [
+            (&|| io(io::ErrorKind::NotFound), READER_ATTEMPTS),
+            (&|| io(io::ErrorKind::UnexpectedEof), 2),
+            (&damaged, 2),
+            (&|| io(io::ErrorKind::PermissionDenied), 1),
+        ];
+        for (error, most) in errors {
+            for failures in 0..=most {
+                let mut asked = 0;
+                let opened = opened_beside_a_writer(|| {
+                    asked += 1;
+                    if asked <= failures {
+                        Err(error().into())
+                    } else {
+                        PlaceMap::in_memory(MapOptions::default())
+                    }
+                });
+                assert_eq!(opened.is_ok(), failures < most, "{}", error());
+                assert_eq!(asked, most.min(failures + 1));
+            }
+        }
+    }
+}
