@@ -35,6 +35,18 @@ pub enum MapError {
         /// How many there were.
         count: u32,
     },
+    /// What had to be written again, so that the rest could be kept within the budget, could not be read.
+    #[error(
+        "the map gave up what cannot be read (experiences: {experiences}, thumbnails: {thumbnails}): {first}"
+    )]
+    GaveUp {
+        /// Experiences that were given up.
+        experiences: usize,
+        /// Thumbnails without which experiences were kept.
+        thumbnails: usize,
+        /// What was wrong with the first.
+        first: StorageError,
+    },
     /// The map was opened for reading.
     #[error("the map is read-only")]
     ReadOnly,
@@ -67,6 +79,12 @@ pub enum MapError {
 }
 
 impl MapError {
+    /// Whether a record is not there as it was written, while others may be.
+    #[must_use]
+    pub fn is_damage(&self) -> bool {
+        matches!(self, Self::Storage(error) if error.is_damage())
+    }
+
     /// Whether the folder may be read and not written, as on a full disk.
     #[must_use]
     pub fn is_unwritable(&self) -> bool {

@@ -256,7 +256,7 @@ impl Journal {
         missing(&self.path_of(number))
     }
 
-    fn damaged(&self, location: Location, reason: &str) -> StorageError {
+    pub(super) fn damaged(&self, location: Location, reason: &str) -> StorageError {
         let reason = format!("record at byte {}: {reason}", location.offset());
         StorageError::Damaged { path: self.path_of(location.segment()), reason }
     }

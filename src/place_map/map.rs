@@ -249,7 +249,7 @@ impl PlaceMap {
             if map.options.durability == Durability::Every {
                 map.journal.sync()?;
             }
-            if map.journal.end().offset >= map.options.segment_bytes() {
+            if map.journal.end().offset >= map.segment_bytes() {
                 map.rotate()?;
             }
             Ok(())

@@ -10,6 +10,13 @@ use serde::Deserialize;
 const SEGMENT_BYTES: (u64, u64) = (64 << 10, 64 << 20);
 /// Segments that the disk's budget is parted into, where that gives one of a sensible size.
 const SEGMENTS: u64 = 32;
+/// Segments that a larger budget is parted into: each keeps a file open.
+const MOST_SEGMENTS: u64 = 200;
+/// The same of a map that is larger than its budget, or has none. Its segments grow along with it, so in the end there are
+/// more.
+const GROWING_SEGMENTS: u64 = 100;
+/// No offset may need more than 40 bits.
+const LONGEST_SEGMENT_BYTES: u64 = 1 << 39;
 
 /// When what was learnt is brought onto the medium.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
@@ -93,9 +100,11 @@ impl MapOptions {
         Self { disk_bytes: u64::MAX, place_experiences: usize::MAX, ..Self::default() }
     }
 
-    /// Bytes after which the journal goes on in a new segment.
-    pub(super) fn segment_bytes(&self) -> u64 {
-        (self.disk_bytes / SEGMENTS).clamp(SEGMENT_BYTES.0, SEGMENT_BYTES.1)
+    /// Bytes after which a journal that takes `journal_bytes` by now goes on in a new segment.
+    pub(super) fn segment_bytes(&self, journal_bytes: u64) -> u64 {
+        let usual = (self.disk_bytes / SEGMENTS).clamp(SEGMENT_BYTES.0, SEGMENT_BYTES.1);
+        let share = if self.disk_bytes == u64::MAX { 0 } else { self.disk_bytes / MOST_SEGMENTS };
+        usual.max(share).max(journal_bytes / GROWING_SEGMENTS).min(LONGEST_SEGMENT_BYTES)
     }
 }
 
@@ -121,5 +130,29 @@ mod tests {
         ] {
             assert!(wrong.parse::<Durability>().unwrap_err().ends_with(&format!("got {wrong}")));
         }
+    }
+
+    #[test]
+    fn a_map_of_any_budget_has_few_enough_segments_to_keep_them_open() {
+        let segments = |options: MapOptions, bytes: u64| {
+            let (mut count, mut total) = (0, 0);
+            while total < bytes {
+                total += options.segment_bytes(total);
+                count += 1;
+            }
+            count
+        };
+        for gib in [1, 4, 12, 13, 100, 1000, 10_000] {
+            let disk_bytes = gib << 30;
+            let count = segments(MapOptions { disk_bytes, ..MapOptions::default() }, disk_bytes);
+            assert!(count <= 200, "{count} segments of {gib} GiB");
+            // One that outgrew its budget, and one without any.
+            for options in [MapOptions::default(), MapOptions::unbounded()] {
+                let count = segments(options, 100 << 30);
+                assert!(count <= 400, "{count} segments of 100 GiB");
+            }
+        }
+        assert_eq!(MapOptions::default().segment_bytes(4 << 30), 64 << 20);
+        assert!(MapOptions::unbounded().segment_bytes(u64::MAX) < 1 << 40);
     }
 }

@@ -80,10 +80,11 @@ impl PlaceMap {
     /// # Errors
     /// If there is no such experience or its record cannot be read.
     pub fn traits(&self, id: ExperienceId) -> Result<Traits, MapError> {
-        let record = self.journal.experience(self.location(id)?)?;
+        let location = self.location(id)?;
+        let record = self.journal.experience(location)?;
         let Some(keyframe) = record.keyframe else { return Ok(Traits::default()) };
-        let unstorable = |reason| MapError::Unstorable { reason };
-        let appearance = keyframe.unpacked_appearance().map_err(unstorable)?;
+        let appearance =
+            keyframe.unpacked_appearance().map_err(|reason| self.journal.damaged(location, &reason))?;
         Ok(Traits { words: keyframe.unpacked_words(), appearance })
     }
 

@@ -5,10 +5,12 @@
 //! experience, until the segment can be deleted.
 
 use super::batch::Batch;
-use super::contents::Fact;
-use super::format::{self, FeaturesRecord, PLACE, THINNED, ThinnedRecord};
+use super::contents::{Fact, Location};
+use super::format::{self, ExperienceRecord, FeaturesRecord, PLACE, THINNED, ThinnedRecord};
 use super::map::PlaceMap;
 use super::{ExperienceId, MapError, snapshot, thinning};
+use crate::feature::Features;
+use crate::storage::{LOG_HEADER_BYTES, StorageError};
 
 /// Share of the budget that records may take which count.
 const LIVE_SHARE: f64 = 0.7;
@@ -24,11 +26,28 @@ pub(super) struct Upkeep {
     /// The segment that is being emptied, and what is still in it, the next one last.
     cleaning: Option<(u32, Vec<Fact>)>,
     snapshot_bytes: u64,
+    /// What was given up since it could not be read, until somebody asks.
+    loss: Option<Loss>,
+    /// Keyframes among that of which nobody heard yet.
+    lost_keyframes: Vec<ExperienceId>,
+}
+
+/// What could not be read when it was to be written again.
+struct Loss {
+    experiences: usize,
+    thumbnails: usize,
+    first: StorageError,
 }
 
 impl Upkeep {
     pub(super) fn new(snapshot_bytes: u64) -> Self {
-        Self { cleaning: None, snapshot_bytes }
+        Self { cleaning: None, snapshot_bytes, loss: None, lost_keyframes: Vec::new() }
+    }
+
+    fn note_loss(&mut self, (experiences, thumbnails): (usize, usize), damage: StorageError) {
+        let loss = self.loss.get_or_insert(Loss { experiences: 0, thumbnails: 0, first: damage });
+        loss.experiences += experiences;
+        loss.thumbnails += thumbnails;
     }
 
     pub(super) fn snapshot_bytes(&self) -> u64 {
@@ -42,29 +61,51 @@ impl PlaceMap {
         self.journal.total_bytes() + 2 * self.upkeep.snapshot_bytes
     }
 
+    /// Bytes after which the journal goes on in a new segment.
+    pub(super) fn segment_bytes(&self) -> u64 {
+        self.options.segment_bytes(self.journal.total_bytes())
+    }
+
+    /// Bytes of the journal that do not count any more.
+    fn dead_bytes(&self) -> u64 {
+        let headers_bytes = LOG_HEADER_BYTES * self.journal.segment_count() as u64;
+        self.journal.total_bytes().saturating_sub(self.contents.live_bytes + headers_bytes)
+    }
+
+    /// What the map gave up since it could not be read any more, once.
+    pub fn take_loss(&mut self) -> Option<MapError> {
+        let Loss { experiences, thumbnails, first } = self.upkeep.loss.take()?;
+        Some(MapError::GaveUp { experiences, thumbnails, first })
+    }
+
     /// Makes room for `bytes` more, and answers which keyframes were given up for it.
     ///
     /// # Errors
     /// If the map is full or the medium fails.
     pub(super) fn make_room(&mut self, bytes: u64) -> Result<Vec<ExperienceId>, MapError> {
         let budget_bytes = self.options.disk_bytes;
-        let free_bytes = FREE_SEGMENTS * self.options.segment_bytes();
+        let free_bytes = FREE_SEGMENTS * self.segment_bytes();
         let mut given_up = Vec::new();
         self.give_up(GIVEN_UP_AT_ONCE, &mut given_up)?;
-        if self.folder_bytes().saturating_add(free_bytes) > budget_bytes {
+        let is_nearly_full = self.folder_bytes().saturating_add(free_bytes) > budget_bytes;
+        if is_nearly_full && (self.upkeep.cleaning.is_some() || self.dead_bytes() >= self.segment_bytes()) {
             self.clean(CLEANING_BYTES)?;
         }
-        if self.folder_bytes().saturating_add(bytes) > budget_bytes {
+        let excess_bytes = |map: &Self| map.folder_bytes().saturating_add(bytes).saturating_sub(budget_bytes);
+        if excess_bytes(self) > 0 {
             // The map was larger before it got this budget: what else comes little by little comes at once.
             self.give_up(usize::MAX, &mut given_up)?;
         }
-        while self.folder_bytes().saturating_add(bytes) > budget_bytes {
-            let before = self.journal.oldest_number();
-            self.clean(u64::MAX)?;
-            if self.journal.oldest_number() == before {
-                let places = self.contents.places.len();
-                return Err(MapError::Full { places, bytes: self.contents.live_bytes, budget_bytes });
+        // Once through all segments: what does not count may be in any of them.
+        for _ in 0..self.journal.segment_count() {
+            if (1..=self.dead_bytes()).contains(&excess_bytes(self)) {
+                self.clean(u64::MAX)?;
             }
+        }
+        given_up.append(&mut self.upkeep.lost_keyframes);
+        if excess_bytes(self) > 0 {
+            let places = self.contents.places.len();
+            return Err(MapError::Full { places, bytes: self.contents.live_bytes, budget_bytes });
         }
         Ok(given_up)
     }
@@ -89,11 +130,6 @@ impl PlaceMap {
     /// Writes up to `bytes` of what still counts in the oldest segment again, and deletes it once nothing does.
     fn clean(&mut self, bytes: u64) -> Result<(), MapError> {
         self.guarded(|map| {
-            let dead_bytes = map.journal.total_bytes().saturating_sub(map.contents.live_bytes);
-            if map.upkeep.cleaning.is_none() && dead_bytes < map.options.segment_bytes() {
-                // Nothing would be gained by it.
-                return Ok(());
-            }
             if map.journal.oldest_number() == map.journal.active_number() {
                 map.rotate()?;
             }
@@ -115,7 +151,7 @@ impl PlaceMap {
                 return Ok(());
             };
             written += self.write_again(fact, segment)?;
-            if self.journal.end().offset >= self.options.segment_bytes() {
+            if self.journal.end().offset >= self.segment_bytes() {
                 self.rotate()?;
             }
         }
@@ -145,19 +181,38 @@ impl PlaceMap {
         Ok(batch.length_bytes())
     }
 
-    fn add_again(&self, id: ExperienceId, batch: &mut Batch) -> Result<(), MapError> {
+    /// Adds the records of an experience, without what is damaged of them.
+    fn add_again(&mut self, id: ExperienceId, batch: &mut Batch) -> Result<(), MapError> {
         let location = self.location(id)?;
+        let (record, features) = match self.parts(id, location) {
+            Err(damage) if damage.is_damage() => {
+                self.upkeep.lost_keyframes.extend(self.is_keyframe(id).then_some(id));
+                self.upkeep.note_loss((1, 0), damage);
+                return batch.add(THINNED, format::encode(&ThinnedRecord::new(&[id])));
+            }
+            parts => parts?,
+        };
+        let thumbnail_jpeg = match self.journal.thumbnail(location) {
+            Err(damage) if damage.is_damage() => {
+                self.upkeep.note_loss((0, 1), damage);
+                Vec::new()
+            }
+            thumbnail => thumbnail?,
+        };
+        let features = features.map(|features| format::encode(&FeaturesRecord::from(&features))).transpose();
+        batch.add_parts(record, features.map_err(|reason| MapError::Unstorable { reason })?, thumbnail_jpeg)
+    }
+
+    fn parts(
+        &self,
+        id: ExperienceId,
+        location: Location,
+    ) -> Result<(ExperienceRecord, Option<Features>), StorageError> {
         let mut record = self.journal.experience(location)?;
         // A record of version 1 does not know its number.
         record.experience = id.0;
-        let features = match record.keyframe {
-            Some(_) => {
-                let record = FeaturesRecord::from(&self.journal.features(location)?);
-                Some(format::encode(&record).map_err(|reason| MapError::Unstorable { reason })?)
-            }
-            None => None,
-        };
-        batch.add_parts(record, features, self.journal.thumbnail(location)?)
+        let features = record.keyframe.is_some().then(|| self.journal.features(location)).transpose()?;
+        Ok((record, features))
     }
 
     /// Goes on in a new segment, and takes a snapshot of everything before it.
@@ -181,10 +236,10 @@ impl PlaceMap {
         if self.is_writable() { self.guarded(Self::take_snapshot) } else { Ok(()) }
     }
 
-    /// Rewrites the journal without what does not count any more.
+    /// Rewrites the journal without what does not count any more, nor what [cannot be read](Self::take_loss).
     ///
     /// # Errors
-    /// If the map is read-only or the medium fails; nothing is lost then.
+    /// If the map is read-only or the medium fails; nothing more is lost then.
     pub fn compact(&mut self) -> Result<(), MapError> {
         self.guarded(|map| {
             let last = map.journal.active_number();
@@ -194,5 +249,129 @@ impl PlaceMap {
             }
             map.take_snapshot()
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::path::Path;
+
+    use super::*;
+    use crate::place_map::format::{EXPERIENCE, FEATURES, KIND, THUMBNAIL};
+    use crate::place_map::journal::segment_name;
+    use crate::place_map::tests::{SMALL, found, knowledge, learn};
+    use crate::place_map::{MapOptions, PlaceId};
+    use crate::storage::{DiskFolder, Envelope, Folder, RecordLog, Surveyed};
+
+    /// Flips the last bit of a record in the first segment: of the one of that kind that stands so many of them behind
+    /// the first.
+    fn damage(folder: &Path, kind: Envelope, number: usize) {
+        let file = DiskFolder::new(folder).open(&segment_name(1), false).unwrap();
+        let mut last_bytes = Vec::new();
+        RecordLog::survey(file, (&KIND, Path::new("journal")), u64::MAX, &mut |surveyed| match surveyed {
+            Surveyed::Whole(record) if record.envelope == kind => {
+                last_bytes.push(record.offset + record.length_bytes - 1);
+            }
+            _ => {}
+        })
+        .unwrap();
+        let path = folder.join(segment_name(1));
+        let mut bytes = fs::read(&path).unwrap();
+        bytes[last_bytes[number] as usize] ^= 1;
+        fs::write(path, bytes).unwrap();
+    }
+
+    /// A map of forty places whose second experience is damaged, as is a thumbnail and the features of another.
+    fn damaged_map(folder: &Path) -> PlaceMap {
+        let mut map = PlaceMap::open(folder, SMALL).unwrap();
+        for index in 0..40 {
+            found(&mut map, index);
+        }
+        for (kind, number) in [(EXPERIENCE, 1), (THUMBNAIL, 3), (FEATURES, 5)] {
+            damage(folder, kind, number);
+        }
+        map
+    }
+
+    #[test]
+    fn compacting_gives_up_what_is_damaged_and_says_so_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut map = damaged_map(folder.path());
+        map.compact().unwrap();
+        let said = map.take_loss().unwrap().to_string();
+        assert!(
+            said.contains("(experiences: 2, thumbnails: 1): ") && said.contains(&segment_name(1)),
+            "{said}"
+        );
+        assert!(map.take_loss().is_none());
+        assert_eq!(map.places().len(), 40);
+        let left: Vec<u32> = map.experiences().map(|experience| experience.id.0).collect();
+        assert_eq!(left, (0..40).filter(|id| ![1, 5].contains(id)).collect::<Vec<_>>());
+        assert!(map.thumbnail_jpeg(ExperienceId(3)).unwrap().is_empty());
+        assert!(map.features(ExperienceId(3)).is_ok());
+        let before = knowledge(&map);
+        drop(map);
+        assert!(!PlaceMap::verify(folder.path(), &|_, _| ()).unwrap().is_damaged());
+        fs::remove_file(folder.path().join(snapshot::NAME)).unwrap();
+        assert_eq!(knowledge(&PlaceMap::open_read_only(folder.path()).unwrap()), before);
+    }
+
+    #[test]
+    fn a_robot_whose_old_segments_are_damaged_learns_on_and_hears_which_keyframes_are_gone() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut map = damaged_map(folder.path());
+        let mut given_up = Vec::new();
+        let mut losses = Vec::new();
+        for index in 0..1000 {
+            let learnt = learn(&mut map, Some(PlaceId(index as u32 % 40)), index, index % 5 == 0).unwrap();
+            given_up.extend(learnt.given_up);
+            losses.extend(map.take_loss().map(|loss| loss.to_string()));
+        }
+        assert!(!folder.path().join(segment_name(1)).exists());
+        assert!(!losses.is_empty());
+        for lost in [1, 5].map(ExperienceId) {
+            assert!(given_up.contains(&lost) && map.experience(lost).is_none());
+        }
+    }
+
+    #[test]
+    fn a_map_whose_oldest_segments_count_to_the_last_byte_is_not_full_below_its_budget() {
+        let mut map = PlaceMap::in_memory(SMALL).unwrap();
+        for index in 0..330 {
+            found(&mut map, index);
+        }
+        assert!(map.dead_bytes() < 16 << 10 && map.folder_bytes() < SMALL.disk_bytes * 3 / 4);
+        for index in 330..3000 {
+            learn(&mut map, Some(PlaceId(index as u32 % 7)), index, index % 3 == 0).unwrap();
+        }
+        assert_eq!(map.places().len(), 330);
+        assert!(map.folder_bytes() <= SMALL.disk_bytes);
+    }
+
+    #[test]
+    fn a_map_is_full_only_once_nothing_is_left_that_does_not_count() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut map = PlaceMap::open(folder.path(), MapOptions { place_experiences: 2, ..SMALL }).unwrap();
+        for index in 0..100 {
+            found(&mut map, index);
+        }
+        for index in 100..110 {
+            learn(&mut map, Some(PlaceId(0)), index, true).unwrap();
+        }
+        map.close().unwrap();
+        let (folder_bytes, dead_bytes) = (map.folder_bytes(), map.dead_bytes());
+        assert!((20_000..map.segment_bytes()).contains(&dead_bytes), "{dead_bytes}");
+        drop(map);
+        // One more fits as it is; some more once it is written again; then it is full.
+        let mut map = PlaceMap::open(
+            folder.path(),
+            MapOptions { disk_bytes: folder_bytes + 5000, place_experiences: 2, ..SMALL },
+        )
+        .unwrap();
+        let founded = (200..300).take_while(|&index| learn(&mut map, None, index, true).is_ok()).count();
+        assert!((5..20).contains(&founded), "{founded}");
+        assert!(map.dead_bytes() < 10_000, "{}", map.dead_bytes());
+        assert_eq!(map.places().len(), 100 + founded);
     }
 }

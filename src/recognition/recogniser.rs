@@ -30,15 +30,16 @@ pub struct Recogniser {
     pub(super) identities: Identities,
     pub(super) foreign_descriptors: usize,
     /// Why the map cannot be read or changed, until somebody asks.
-    map_failure: Option<MapError>,
+    pub(super) map_failure: Option<MapError>,
 }
 
 impl Recogniser {
     /// A recogniser over `map`; its indices are built from the map's keyframes. CNN descriptors that
-    /// another model made are left out.
+    /// another model made are left out, as are keyframes whose records are damaged: that is a
+    /// [failure of the map](Self::take_map_failure).
     ///
     /// # Errors
-    /// If a keyframe cannot be read.
+    /// If the medium fails.
     pub fn new(
         vocabularies: Arc<VocabularySet>,
         map: PlaceMap,
@@ -113,10 +114,10 @@ impl Recogniser {
         self.map.close()
     }
 
-    /// Why the map could not be read or changed, once. If it could not be changed, it is only read from then on:
-    /// the robot goes on recognising.
+    /// Why the map could not be read or changed, or what it gave up since it is damaged; once. If it could not be
+    /// changed, it is only read from then on: the robot goes on recognising.
     pub fn take_map_failure(&mut self) -> Option<MapError> {
-        self.map_failure.take()
+        self.map_failure.take().or_else(|| self.map.take_loss())
     }
 
     /// Recognises one frame: [`retrieve`](Self::retrieve), [`verify`](Self::verify) and
@@ -215,6 +216,7 @@ impl Recogniser {
             }
             Err(failure) => {
                 self.keyframes.remove(keyframe);
+                self.working_set.leave_out(keyframe);
                 self.map_failure.get_or_insert(failure);
                 Verification::default()
             }
@@ -773,6 +775,40 @@ mod tests {
         let unknown = robot.see(4, 4);
         assert_eq!((unknown.decision, unknown.place, unknown.keyframe), (Decision::Unknown, None, None));
         assert_eq!(robot.recogniser.map().summary(), before);
+    }
+
+    /// Flips the last bit of the first record of a kind in a map's journal.
+    fn damage_first(folder: &Path, kind: u8) {
+        let path = folder.join("journal-000001.loci");
+        let mut bytes = std::fs::read(&path).unwrap();
+        let header = |at: usize| bytes[at..at + 4] == [0xb7, b'R', b'e', b'c'] && bytes[at + 4] == kind;
+        let at = (16..bytes.len() - 28).find(|&at| header(at)).unwrap();
+        let length = u32::from_le_bytes(bytes[at + 8..at + 12].try_into().unwrap());
+        bytes[at + 28 + length as usize - 1] ^= 1;
+        std::fs::write(path, bytes).unwrap();
+    }
+
+    #[test]
+    fn a_keyframe_whose_records_are_damaged_is_left_out_said_once_and_the_others_are_found() {
+        for damaged in [2, 3] {
+            let folder = tempfile::tempdir().unwrap();
+            let mut robot = Robot::new(None, no_interval(), opened(folder.path()));
+            (0..4).for_each(|place| drop(robot.see(place, 0)));
+            robot.recogniser.close().unwrap();
+            drop(robot);
+            damage_first(folder.path(), damaged);
+            let map = PlaceMap::open_read_only(folder.path()).unwrap();
+            let options = RecognitionOptions { read_only: true, ..no_interval() };
+            let mut robot = Robot::new(None, options, map);
+            let mut said = Vec::new();
+            for place in [0, 1, 2, 0, 3, 0, 1] {
+                let answer = robot.see(place, 0);
+                assert_eq!(answer.place, (place > 0).then_some(PlaceId(place as u32)), "{damaged}");
+                said.extend(robot.recogniser.take_map_failure().map(|failure| failure.to_string()));
+            }
+            assert_eq!(said.len(), 1, "{said:?}");
+            assert!(said[0].contains("journal-000001.loci is damaged"), "{said:?}");
+        }
     }
 
     #[test]

@@ -29,6 +29,8 @@ pub(super) struct WorkingSet {
     waiting: BTreeSet<PlaceId>,
     /// Where to look next when the robot is lost.
     next_searched: PlaceId,
+    /// Keyframes whose records are damaged: they are not asked again.
+    unreadable: BTreeSet<ExperienceId>,
 }
 
 impl Default for WorkingSet {
@@ -39,6 +41,7 @@ impl Default for WorkingSet {
             by_turn: BTreeSet::new(),
             waiting: BTreeSet::new(),
             next_searched: PlaceId(0),
+            unreadable: BTreeSet::new(),
         }
     }
 }
@@ -51,6 +54,11 @@ impl WorkingSet {
     /// Number of places.
     pub(super) fn len(&self) -> usize {
         self.turns.len()
+    }
+
+    /// From now on `keyframe` is not taken in any more.
+    pub(super) fn leave_out(&mut self, keyframe: ExperienceId) {
+        self.unreadable.insert(keyframe);
     }
 
     /// Puts `place` last in the order, as if it had just been seen.
@@ -116,7 +124,7 @@ impl Recogniser {
         let mut keyframes: Vec<ExperienceId> =
             taken.iter().flat_map(|&(_, place)| self.keyframes_of(place)).collect();
         keyframes.sort_unstable();
-        keyframes.into_iter().try_for_each(|keyframe| self.index(keyframe))?;
+        keyframes.into_iter().try_for_each(|keyframe| self.index_if_sound(keyframe))?;
         taken.iter().for_each(|&(_, place)| self.working_set.touch(place));
         // CNN descriptors were not reckoned with.
         self.make_room();
@@ -189,9 +197,22 @@ impl Recogniser {
 
     /// Makes the keyframes of `place` findable that are not.
     fn take_in(&mut self, place: PlaceId) -> Result<(), MapError> {
-        let waiting =
-            self.keyframes_of(place).into_iter().filter(|&keyframe| !self.keyframes.contains(keyframe));
-        waiting.collect::<Vec<_>>().into_iter().try_for_each(|keyframe| self.index(keyframe))
+        let mut waiting = self.keyframes_of(place);
+        waiting.retain(|&keyframe| !self.keyframes.contains(keyframe));
+        waiting.retain(|keyframe| !self.working_set.unreadable.contains(keyframe));
+        waiting.into_iter().try_for_each(|keyframe| self.index_if_sound(keyframe))
+    }
+
+    /// Makes a keyframe findable, unless its record is damaged: that is said once.
+    fn index_if_sound(&mut self, keyframe: ExperienceId) -> Result<(), MapError> {
+        match self.index(keyframe) {
+            Err(damage) if damage.is_damage() => {
+                self.working_set.leave_out(keyframe);
+                self.map_failure.get_or_insert(damage);
+                Ok(())
+            }
+            indexed => indexed,
+        }
     }
 
     pub(super) fn keyframes_of(&self, place: PlaceId) -> Vec<ExperienceId> {

@@ -100,6 +100,16 @@ pub enum StorageError {
 }
 
 impl StorageError {
+    /// Whether the bytes are not there as they were written, which no further try changes.
+    #[must_use]
+    pub fn is_damage(&self) -> bool {
+        match self {
+            Self::Damaged { .. } => true,
+            Self::Io { source, .. } => source.kind() == io::ErrorKind::UnexpectedEof,
+            _ => false,
+        }
+    }
+
     /// Wraps what the operating system said about `path`.
     pub fn io(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_owned();

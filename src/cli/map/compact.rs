@@ -16,7 +16,7 @@ use crate::cli::{Outcome, stream};
 #[derive(Args)]
 #[command(after_help = "Example:\n  loci map compact maps/site\n\n\
     Nothing is lost if it is interrupted. While it runs, the map takes up to twice its size, and no run can write \
-    it. A torn last record is cut off; the exit code is then 3.")]
+    it. A torn last record is cut off, and what is damaged is given up; the exit code is then 3.")]
 pub(in crate::cli) struct CompactArguments {
     /// Folder of the map
     map: PathBuf,
@@ -45,11 +45,16 @@ pub(super) fn run(arguments: &CompactArguments) -> anyhow::Result<Outcome> {
     let compacted = map.compact();
     spinner.finish_and_clear();
     compacted?;
+    let loss = map.take_loss();
+    if let Some(loss) = &loss {
+        eprintln!("loci: {loss}");
+    }
     let report = Report { bytes_before: before.journal_bytes, bytes_after: map.summary().journal_bytes };
     let Report { bytes_before, bytes_after } = report;
     say(&match arguments.json {
         true => serde_json::to_string(&report)?,
         false => format!("journal  {} before, {bytes_after} after", counted(bytes_before, "byte")),
     })?;
-    Ok(report_cut_off(before.torn_bytes))
+    let outcome = report_cut_off(before.torn_bytes);
+    Ok(if loss.is_some() { Outcome::Lost } else { outcome })
 }
