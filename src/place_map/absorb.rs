@@ -3,7 +3,7 @@
 use super::batch::Batch;
 use super::format::{self, FeaturesRecord, PLACE, PlaceRecord};
 use super::map::PlaceMap;
-use super::{Experience, MapError, PlaceId};
+use super::{Experience, MapError, Place, PlaceId};
 
 impl PlaceMap {
     /// Adds the places and experiences of `other`; its place `n` becomes the place that is answered, plus `n`.
@@ -18,23 +18,33 @@ impl PlaceMap {
     fn absorb_all(&mut self, other: &PlaceMap) -> Result<PlaceId, MapError> {
         let first = self.contents.places.len() as u32;
         let moved = |place: &PlaceId| place.0 + first;
-        let mut batch = Batch::default();
-        for place in other.places() {
-            let record = PlaceRecord {
-                place: moved(&place.id),
-                name: place.name.clone(),
-                merged_into: place.merged_into.as_ref().map(moved),
-                neighbours: place.neighbours.iter().map(moved).collect(),
-            };
-            batch.add(PLACE, format::encode(&record))?;
-        }
-        // All at once, since each may speak of any other.
-        self.make_room(batch.length_bytes())?;
-        self.write(&batch)?;
+        let bare = |place: &Place| PlaceRecord {
+            place: moved(&place.id),
+            name: place.name.clone(),
+            merged_into: None,
+            neighbours: Vec::new(),
+        };
+        let linked = |place: &Place| PlaceRecord {
+            merged_into: place.merged_into.as_ref().map(moved),
+            neighbours: place.neighbours.iter().map(moved).collect(),
+            ..bare(place)
+        };
+        // Each may speak of any other, so all are there before any does: power may be cut after every record.
+        self.write_places(other.places().map(bare))?;
+        self.write_places(other.places().map(linked))?;
         for experience in other.experiences() {
             self.absorb_experience(other, experience, first)?;
         }
         Ok(PlaceId(first))
+    }
+
+    fn write_places(&mut self, records: impl Iterator<Item = PlaceRecord>) -> Result<(), MapError> {
+        let mut batch = Batch::default();
+        for record in records {
+            batch.add(PLACE, format::encode(&record))?;
+        }
+        self.make_room(batch.length_bytes())?;
+        self.write(&batch)
     }
 
     fn absorb_experience(

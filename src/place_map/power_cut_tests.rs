@@ -1,5 +1,5 @@
-//! Power cut, and a medium that fills up, at every operation of a map's scripted life and at random ones of random
-//! lives: whatever was acknowledged is found again, and nothing is found that never was.
+//! Power cut, a medium that fills up, and operations that fail, at every operation of a map's scripted life and at random
+//! ones of random lives: whatever was acknowledged is found again, and nothing is found that never was.
 //!
 //! [`crate::storage::faulty`] says what a power cut may leave of what was not synced.
 
@@ -36,6 +36,10 @@ enum Step {
     Merge(u32, u32),
     Split(u32),
     Sync,
+    /// What the thread that looks after durability does.
+    Background,
+    /// Takes in another map of two places.
+    Absorb,
     /// Takes a snapshot.
     Close,
     Compact,
@@ -43,20 +47,20 @@ enum Step {
     Reopen,
 }
 
-use Step::{Close, Compact, Found, Learn, Merge, Name, Reopen, Split, Sync};
+use Step::{Absorb, Background, Close, Compact, Found, Learn, Merge, Name, Reopen, Split, Sync};
 
 /// A life in which segments fill up, are emptied and deleted, and everything else happens once at least.
 fn script() -> Vec<Step> {
     let learn = |count: u32| {
         (0..count).map(|index| Learn { place: index * 5 % 4, is_keyframe: index.is_multiple_of(3) })
     };
-    let mut script = vec![Found, Found, Found, Name(1), Found, Sync];
+    let mut script = vec![Found, Found, Background, Found, Name(1), Found, Sync];
     script.extend(learn(10));
     script.extend([Merge(2, 0), Close, Name(2), Found]);
     script.extend(learn(12));
-    script.extend([Split(2), Reopen]);
+    script.extend([Background, Split(2), Reopen]);
     script.extend(learn(9));
-    script.extend([Compact, Merge(4, 1)]);
+    script.extend([Compact, Merge(4, 1), Absorb, Background]);
     script.extend(learn(5));
     script.push(Sync);
     script
@@ -184,6 +188,11 @@ fn take_step(
         Merge(from, into) => map.merge_places(known(from), known(into)),
         Split(place) => map.split_place(known(place)),
         Sync => map.sync(),
+        Background => {
+            map.syncer().sync();
+            Ok(())
+        }
+        Absorb => map.absorb(&other_map(index)).map(drop),
         Close => map.close(),
         Compact => map.compact(),
         Reopen => Ok(()),
@@ -191,11 +200,26 @@ fn take_step(
     if map.is_writable() { Ok(()) } else { done }
 }
 
+/// A map of two places, to be absorbed.
+fn other_map(index: u64) -> PlaceMap {
+    let mut other = PlaceMap::in_memory(options(Durability::None)).unwrap();
+    for place in 0..2 {
+        learn(&mut other, None, index + place, true).unwrap();
+    }
+    other
+}
+
+/// What is said of a place that was absorbed before the links among those places were.
+const UNLINKED: &str = "None None []";
+
 /// Whether `found` is `before`, `after`, or something on the way from the one to the other.
 fn is_between(found: &Facts, before: &Facts, after: &Facts) -> bool {
     let is_one_of_both =
         |about: &String, fact| [before, after].iter().any(|state| state.get(about) == Some(fact));
-    found.iter().all(|(about, fact)| is_one_of_both(about, fact))
+    let is_being_absorbed = |about: &String, fact: &String| {
+        fact == UNLINKED && !before.contains_key(about) && after.contains_key(about)
+    };
+    found.iter().all(|(about, fact)| is_one_of_both(about, fact) || is_being_absorbed(about, fact))
         && before.keys().filter(|&about| after.contains_key(about)).all(|about| found.contains_key(about))
 }
 
@@ -259,7 +283,7 @@ fn the_script_fills_empties_and_deletes_segments_and_gives_experiences_up() {
     let life = live(&folder, INTERVAL, &script());
     assert!(life.failure.is_none());
     let map = life.map.unwrap();
-    let learnt = script().iter().filter(|step| matches!(step, Found | Learn { .. })).count();
+    let learnt = script().iter().filter(|step| matches!(step, Found | Learn { .. })).count() + 2;
     assert_eq!(map.experiences_ever() as usize, learnt);
     assert!(map.experiences().count() < learnt, "nothing was given up");
     let names = folder.names().unwrap();
@@ -335,6 +359,31 @@ fn wherever_the_medium_fills_up_the_map_is_read_on_and_nothing_is_lost() {
     }
 }
 
+#[test]
+fn wherever_an_operation_fails_the_map_is_closed_and_nothing_is_lost() {
+    let script = script();
+    for durability in [Durability::Every, INTERVAL] {
+        let whole = FaultyFolder::default();
+        let Life { states, .. } = live(&whole, durability, &script);
+        for operation in 0..whole.operations() {
+            let folder = FaultyFolder::default();
+            folder.fail_at(operation);
+            let mut life = live(&folder, durability, &script);
+            assert!(life.failure.is_some(), "operation {operation} failed and nobody heard of it");
+            assert_eq!(life.states, states[..life.states.len()], "a change that failed was taken for done");
+            if let Some(mut map) = life.map.take() {
+                assert_explained(&facts(&map), &life, &states);
+                assert!(!map.is_writable() && learn(&mut map, None, 98, true).is_err());
+            }
+            for left in
+                [folder.after_power_cut(&mut lost), folder.after_power_cut(&mut random(operation)), folder]
+            {
+                assert_recovered(&left, durability, &life, &states);
+            }
+        }
+    }
+}
+
 fn steps() -> impl Strategy<Value = Vec<Step>> {
     let place = || 0..8_u32;
     let step = prop_oneof![
@@ -344,6 +393,7 @@ fn steps() -> impl Strategy<Value = Vec<Step>> {
         1 => (place(), place()).prop_map(|(from, into)| Merge(from, into)),
         1 => place().prop_map(Split),
         1 => Just(Sync),
+        1 => Just(Background),
         1 => Just(Close),
         1 => Just(Compact),
         1 => Just(Reopen),
