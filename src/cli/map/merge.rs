@@ -9,6 +9,7 @@ use clap::Args;
 use loci::cnn::{CARD_FILE, ModelCard};
 use loci::place_map::{Durability, MapOptions, MapSummary, PlaceId, PlaceMap};
 use loci::recognition::{Join, Recogniser, RecognitionOptions, Support};
+use loci::storage::{DiskFolder, Folder};
 use loci::vocabulary::VocabularySet;
 use serde::Serialize;
 
@@ -205,7 +206,9 @@ fn make(
     let beside = out.with_file_name(name);
     let spinner = spinner("writing the map that holds both");
     let made = fill(&beside, options, maps, joins, stop).and_then(|summary| {
+        let parent = DiskFolder::new(out.parent().unwrap_or(Path::new("")));
         fs::rename(&beside, out)
+            .and_then(|()| parent.sync())
             .map_err(|error| anyhow::anyhow!("cannot make {}: {error}", out.display()))?;
         Ok(summary)
     });
