@@ -201,10 +201,10 @@ impl Contents {
         facts.into_iter().map(|(_, fact)| fact).collect()
     }
 
-    /// The segments that something is in.
-    pub(super) fn segments(&self) -> impl Iterator<Item = u32> {
-        let places = self.places.values().map(|place| place.location.segment());
-        places.chain(self.experiences.values().map(|experience| experience.location.segment()))
+    /// Where everything is.
+    pub(super) fn locations(&self) -> impl Iterator<Item = Location> {
+        let places = self.places.values().map(|place| place.location);
+        places.chain(self.experiences.values().map(|experience| experience.location))
     }
 }
 

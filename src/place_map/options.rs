@@ -12,8 +12,8 @@ const SEGMENT_BYTES: (u64, u64) = (64 << 10, 64 << 20);
 const SEGMENTS: u64 = 32;
 /// Segments that a larger budget is parted into: each keeps a file open.
 const MOST_SEGMENTS: u64 = 200;
-/// The same of a map that is larger than its budget, or has none. Its segments grow along with it, so in the end there are
-/// more.
+/// The same of a map that is larger than its budget, or has none. Its segments grow along with it, so in the end
+/// there are more.
 const GROWING_SEGMENTS: u64 = 100;
 /// No offset may need more than 40 bits.
 const LONGEST_SEGMENT_BYTES: u64 = 1 << 39;

@@ -1,5 +1,5 @@
-//! Power cut, a medium that fills up, and operations that fail, at every operation of a map's scripted life and at random
-//! ones of random lives: whatever was acknowledged is found again, and nothing is found that never was.
+//! Power cut, a medium that fills up, and operations that fail, at every operation of a map's scripted life and at
+//! random ones of random lives: whatever was acknowledged is found again, and nothing is found that never was.
 //!
 //! [`crate::storage::faulty`] says what a power cut may leave of what was not synced.
 

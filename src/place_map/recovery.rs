@@ -1,5 +1,5 @@
-//! How a journal is opened: its segments are read, from where its snapshot stands if that proves to be the journal's own,
-//! else from the beginning. Only once what they say is sound is a torn tail cut or a segment begun.
+//! How a journal is opened: its segments are read, from where its snapshot stands if that proves to be the journal's
+//! own, else from the beginning. Only once what they say is sound is a torn tail cut or a segment begun.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -87,12 +87,17 @@ impl Journal {
         if segment < self.oldest_number() {
             return Ok(Some(format!("it is older than {}", segment_name(self.oldest_number()))));
         }
+        if snapshot.contents.locations().any(|location| location >= Location::new(segment, offset)) {
+            return Ok(Some("it speaks of what was not yet written when it was taken".to_owned()));
+        }
         // Where a record of the snapshot was found, the way from there to its position is the shortest.
-        let mut from = 0;
+        let mut found_at = None;
         if let Some(witness) = self.witness(snapshot) {
             match self.bears_out(witness)? {
                 Some(false) => return Ok(Some(format!("it says otherwise of experience {}", witness.id.0))),
-                Some(true) if witness.location.segment() == segment => from = witness.location.offset(),
+                Some(true) if witness.location.segment() == segment => {
+                    found_at = Some(witness.location.offset());
+                }
                 Some(true) | None => {}
             }
         }
@@ -112,8 +117,10 @@ impl Journal {
                 format!("it ends after {length} bytes, but had {offset} when its snapshot was taken");
             return Err(damaged(reason));
         }
-        match self.footing(Location::new(segment, offset), from)? {
+        match self.footing(Location::new(segment, offset), found_at.unwrap_or(0))? {
             Footing::Boundary => Ok(None),
+            // What is damaged there the snapshot knows.
+            Footing::Hidden { .. } if found_at.is_some() => Ok(None),
             Footing::Within => {
                 let name = segment_name(segment);
                 Ok(Some(format!("it was taken at byte {offset} of {name}, where no record begins")))
@@ -159,8 +166,9 @@ impl Journal {
 
     /// Puts together what was read of the journal, if it makes sense.
     fn settle(&self, contents: &mut Contents) -> Result<(), StorageError> {
-        if let Some(missing) = contents.segments().find(|number| !self.segments.contains_key(number)) {
-            return Err(self.missing(missing));
+        let is_gone = |location: &Location| !self.segments.contains_key(&location.segment());
+        if let Some(gone) = contents.locations().find(is_gone) {
+            return Err(self.missing(gone.segment()));
         }
         let damaged = |reason| StorageError::Damaged { path: self.folder.path().to_owned(), reason };
         if contents.live_bytes > self.total_bytes() {
@@ -334,10 +342,12 @@ mod tests {
     fn a_snapshot_taken_where_no_record_begins_is_not_used_and_costs_no_record() {
         let map = map_of(0..5);
         let Snapshot { position, contents, .. } = snapshot_of(map.path());
-        for back in [1, 30, 2000] {
+        for (back, said) in
+            [(1, "where no record begins"), (30, "where no record begins"), (2000, "not yet written")]
+        {
             let inside = Position { offset: position.offset - back, ..position };
             snapshot::write(&DiskFolder::new(map.path()), inside, &contents).unwrap();
-            assert!(fault(map.path()).contains("where no record begins"));
+            assert!(fault(map.path()).contains(said));
         }
     }
 
@@ -391,6 +401,24 @@ mod tests {
         fs::remove_file(&last).unwrap();
         let expected = format!("cannot open {}: it is missing; restore it from a copy", last.display());
         assert_eq!(refusal(map.path()), expected);
+    }
+
+    #[test]
+    fn damage_before_the_position_of_the_snapshot_keeps_no_map_from_opening_and_costs_nothing_else() {
+        let map = map_of(0..5);
+        let mut grown = PlaceMap::open(map.path(), UNSYNCED).unwrap();
+        grown.name_place(crate::place_map::PlaceId(1), "hall").unwrap();
+        grown.close().unwrap();
+        let before = knowledge(&grown);
+        drop(grown);
+        let path = map.path().join(segment_name(1));
+        let mut bytes = fs::read(&path).unwrap();
+        let position = bytes.len() - 40;
+        bytes[position] ^= 1;
+        fs::write(&path, &bytes).unwrap();
+        let opened = PlaceMap::open(map.path(), UNSYNCED).unwrap();
+        assert!(opened.snapshot_fault().is_none() && knowledge(&opened) == before);
+        assert!(fs::read(&path).unwrap() == bytes, "the journal was changed");
     }
 
     #[test]

@@ -294,7 +294,7 @@ impl<'a> Verifier<'a> {
         let Some(Shortcut { position, is_anchored, mut contents }) = self.shortcut.take() else { return };
         let is_there = |number: &u32| segments.iter().any(|segment| segment.number == *number);
         let is_past = segments.first().is_some_and(|first| position.segment < first.number);
-        let missing = contents.segments().find(|number| !is_there(number));
+        let missing = contents.locations().map(Location::segment).find(|number| !is_there(number));
         if let Some(number) =
             missing.or((!is_past && !is_there(&position.segment)).then_some(position.segment))
         {

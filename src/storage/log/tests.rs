@@ -82,6 +82,34 @@ fn reading_may_begin_at_any_record_and_leave_out_what_is_not_wanted() {
 }
 
 #[test]
+fn where_records_begin_is_told_from_their_headers_alone() {
+    let mut bytes = written(&[b"first", b"second", b"third"], 0);
+    // The payload of the first.
+    bytes[16 + 28] ^= 1;
+    let over = |bytes: &[u8]| RecordLog::over(Arc::new(MemoryFile::new(bytes.to_vec())), Path::new("log"));
+    let footing = |bytes: &[u8], from, offset| {
+        let log = over(bytes);
+        log.shared.end.store(bytes.len() as u64, Ordering::Release);
+        log.footing(from, offset).unwrap()
+    };
+    for (from, offset, expected) in [
+        (0, 16, Footing::Boundary),
+        (0, 49, Footing::Boundary),
+        (49, 83, Footing::Boundary),
+        (0, bytes.len() as u64, Footing::Boundary),
+        (0, 15, Footing::Within),
+        (0, 50, Footing::Within),
+        (83, 49, Footing::Within),
+        (0, bytes.len() as u64 + 1, Footing::Hidden { by: bytes.len() as u64 }),
+    ] {
+        assert_eq!(footing(&bytes, from, offset), expected, "{from} to {offset}");
+    }
+    bytes[49] ^= 1;
+    assert_eq!(footing(&bytes, 0, 83), Footing::Hidden { by: 49 });
+    assert_eq!(footing(&bytes, 83, bytes.len() as u64), Footing::Boundary);
+}
+
+#[test]
 fn a_bad_record_that_had_been_on_the_medium_is_damage() {
     let mut bytes = written(&[b"first", b"second", b"third"], 0);
     bytes[LOG_HEADER_BYTES as usize + HEADER_BYTES] ^= 1;
