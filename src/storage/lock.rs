@@ -16,8 +16,20 @@ const ATTEMPTS: u32 = 10;
 /// Held while a folder is being written; released when dropped, also by a crash.
 #[derive(Debug)]
 pub struct WriterLock {
-    _file: File,
-    _folder: File,
+    _file: Held,
+    _folder: Held,
+}
+
+/// A file that is locked. Closing it would not always unlock it at once: a child process that is just being started
+/// still has it open for a moment.
+#[derive(Debug)]
+struct Held(File);
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        // If that fails, the end of the process unlocks it.
+        let _ = self.0.unlock();
+    }
 }
 
 impl WriterLock {
@@ -27,18 +39,20 @@ impl WriterLock {
     /// If another process holds it (its process id is in the message) or the folder is not writable.
     pub fn acquire(folder: &Path) -> Result<Self, StorageError> {
         let path = folder.join("writer.lock");
-        let held_folder = File::open(folder).map_err(StorageError::io("open", folder))?;
-        if let Err(TryLockError::WouldBlock) = held_folder.try_lock() {
+        let opened = File::open(folder).map_err(StorageError::io("open", folder))?;
+        if let Err(TryLockError::WouldBlock) = opened.try_lock() {
             return Err(held_by_another(&path));
         }
+        let held_folder = Held(opened);
         for _ in 0..ATTEMPTS {
-            let mut file = locked(&path)?;
-            if is_at(&file, &path).map_err(StorageError::io("look at", &path))? {
+            let held = locked(&path)?;
+            if is_at(&held.0, &path).map_err(StorageError::io("look at", &path))? {
+                let mut file = &held.0;
                 file.set_len(0)
                     .and_then(|()| file.rewind())
                     .and_then(|()| writeln!(file, "{}", std::process::id()))
                     .map_err(StorageError::io("write", &path))?;
-                return Ok(Self { _file: file, _folder: held_folder });
+                return Ok(Self { _file: held, _folder: held_folder });
             }
         }
         Err(StorageError::io("lock", &path)(io::Error::other("it is deleted again and again")))
@@ -46,12 +60,12 @@ impl WriterLock {
 }
 
 /// The lock file at `path`, made if need be and locked.
-fn locked(path: &Path) -> Result<File, StorageError> {
+fn locked(path: &Path) -> Result<Held, StorageError> {
     let mut options = OpenOptions::new();
     options.read(true).write(true).create(true).truncate(false);
     let file = options.open(path).map_err(StorageError::io("open", path))?;
     match file.try_lock() {
-        Ok(()) => Ok(file),
+        Ok(()) => Ok(Held(file)),
         Err(TryLockError::WouldBlock) => Err(held_by_another(path)),
         Err(TryLockError::Error(source)) => Err(StorageError::io("lock", path)(source)),
     }
@@ -122,11 +136,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("writer.lock");
         let stale = locked(&path).unwrap();
-        assert!(is_at(&stale, &path).unwrap());
+        assert!(is_at(&stale.0, &path).unwrap());
         fs::remove_file(&path).unwrap();
-        assert!(!is_at(&stale, &path).unwrap());
+        assert!(!is_at(&stale.0, &path).unwrap());
         let fresh = locked(&path).unwrap();
-        assert!(is_at(&fresh, &path).unwrap() && !is_at(&stale, &path).unwrap());
+        assert!(is_at(&fresh.0, &path).unwrap() && !is_at(&stale.0, &path).unwrap());
     }
 
     #[test]
@@ -134,5 +148,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let _held = locked(&folder.path().join("writer.lock")).unwrap();
         assert!(WriterLock::acquire(folder.path()).unwrap_err().to_string().contains("is writing there"));
+    }
+
+    #[test]
+    fn a_dropped_lock_is_free_although_a_child_still_has_its_files_open() {
+        let folder = tempfile::tempdir().unwrap();
+        let held = WriterLock::acquire(folder.path()).unwrap();
+        // As a child has that was not yet told to close what is not its own.
+        let _copies = [held._file.0.try_clone().unwrap(), held._folder.0.try_clone().unwrap()];
+        drop(held);
+        WriterLock::acquire(folder.path()).unwrap();
     }
 }
