@@ -153,6 +153,12 @@ impl Contents {
         Ok(roots)
     }
 
+    /// Whether `part` is `place`, or was merged into it, perhaps by way of others.
+    pub(super) fn is_part(&self, part: PlaceId, place: PlaceId) -> bool {
+        let next = |part: &PlaceId| self.places.get(part).and_then(|part| part.merged_into);
+        std::iter::successors(Some(part), next).any(|part| part == place)
+    }
+
     /// The place that `place` is by now.
     pub(super) fn resolve(&self, place: PlaceId) -> PlaceId {
         let mut here = place;

@@ -124,7 +124,8 @@ impl PlaceMap {
     /// Undoes the merge of `place` into another one: what was learnt as `place` is its own again.
     ///
     /// # Errors
-    /// If there is no such place or it is not merged, or as for [`learn`](Self::learn).
+    /// If there is no such place, it is not merged or [cannot be split](Self::can_be_split), or as for
+    /// [`learn`](Self::learn).
     pub fn split_place(&mut self, place: PlaceId) -> Result<(), MapError> {
         let Some(found) = self.contents.places.get(&place) else {
             return Err(MapError::NoPlace { place: place.0 });
@@ -132,7 +133,25 @@ impl PlaceMap {
         if found.merged_into.is_none() {
             return Err(MapError::Merge { place: place.0, reason: "it is not merged into another one" });
         }
+        if !self.can_be_split(place) {
+            return Err(MapError::Merge {
+                place: place.0,
+                reason: "the merge is final: one of both has no keyframe left",
+            });
+        }
         self.write_place(PlaceRecord { merged_into: None, ..found.record() })
+    }
+
+    /// Whether `place` is merged into another one and each would keep a keyframe without the other.
+    #[must_use]
+    pub fn can_be_split(&self, place: PlaceId) -> bool {
+        let whole = self.contents.resolve(place);
+        let keyframes = self.contents.places.get(&whole).into_iter().flat_map(|whole| &whole.experiences);
+        let keyframes =
+            keyframes.filter_map(|id| self.contents.experiences.get(id)).filter(|e| e.is_keyframe);
+        let goes: Vec<bool> =
+            keyframes.map(|keyframe| self.contents.is_part(keyframe.learnt_as, place)).collect();
+        whole != place && goes.contains(&true) && goes.contains(&false)
     }
 
     /// Returns when everything added so far would survive a power cut.
@@ -186,7 +205,7 @@ impl PlaceMap {
     /// The experiences that tell least in a place that has enough of them: perhaps the new one, unless it is a
     /// keyframe. One for the new one, and a second one where a merge has brought too many together.
     fn given_up_for(&self, id: ExperienceId, place: PlaceId, new: &NewExperience<'_>) -> Vec<ExperienceId> {
-        let Some(Place { id: learnt_as, experiences, .. }) = self.contents.places.get(&place) else {
+        let Some(Place { id: half, experiences, .. }) = self.contents.places.get(&place) else {
             return Vec::new();
         };
         let most = self.options.place_experiences;
@@ -197,7 +216,7 @@ impl PlaceMap {
         // A look that recognition lacks is worth more than what the hash says of it.
         if new.keyframe.is_none() {
             let (view, mean_luminance) = (new.view, Some(new.mean_luminance));
-            glimpses.push(Glimpse { id, learnt_as: *learnt_as, view, mean_luminance, is_keyframe: false });
+            glimpses.push(Glimpse { id, half: *half, view, mean_luminance, is_keyframe: false });
         }
         let mut given_up = Vec::new();
         for _ in 0..1 + usize::from(experiences.len() > most) {

@@ -69,9 +69,10 @@ impl PlaceMap {
     ) -> Result<Self, MapError> {
         let (snapshot, unreadable) = match snapshot::read(folder.as_ref()) {
             Ok(snapshot) => (snapshot, None),
-            Err(fault @ (StorageError::Damaged { .. } | StorageError::WrongKind { .. })) => {
-                (None, Some(fault))
+            Err(StorageError::Damaged { path, reason }) => {
+                (None, Some(StorageError::Useless { path, reason }))
             }
+            Err(fault @ StorageError::WrongKind { .. }) => (None, Some(fault)),
             Err(error) => return Err(error.into()),
         };
         let length_bytes = snapshot.as_ref().map_or(0, |snapshot| snapshot.length_bytes);
@@ -120,7 +121,7 @@ fn attempts_after(error: &StorageError) -> u32 {
     match error {
         StorageError::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => READER_ATTEMPTS,
         StorageError::Io { source, .. } if source.kind() == io::ErrorKind::UnexpectedEof => 2,
-        StorageError::Damaged { .. } | StorageError::Foreign { .. } => 2,
+        StorageError::Damaged { .. } | StorageError::Useless { .. } => 2,
         _ => 1,
     }
 }

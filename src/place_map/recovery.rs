@@ -52,13 +52,13 @@ impl Journal {
         snapshot: Option<Snapshot>,
     ) -> Result<Opened, StorageError> {
         let files = open_files(folder.as_ref(), writable)?;
-        let foreign = |reason| StorageError::Foreign { path: folder.path().join(snapshot::NAME), reason };
+        let useless = |reason| StorageError::Useless { path: folder.path().join(snapshot::NAME), reason };
         let mut snapshot_fault = None;
         let mut start = Snapshot::default();
         if let Some(snapshot) = snapshot {
             match at(folder, &files, BEHIND_ALL, &mut Contents::default())?.0.disowns(&snapshot)? {
                 None => start = snapshot,
-                Some(reason) => snapshot_fault = Some(foreign(reason)),
+                Some(reason) => snapshot_fault = Some(useless(reason)),
             }
         }
         let has_snapshot = start.position != Position::default();
@@ -66,7 +66,7 @@ impl Journal {
         let (mut journal, mut recovery) = at(folder, &files, position, &mut contents)?;
         let mut settled = journal.settle(&mut contents);
         if has_snapshot && let Err(StorageError::Damaged { reason, .. }) = settled {
-            snapshot_fault = Some(foreign(reason));
+            snapshot_fault = Some(useless(reason));
             contents = Contents::default();
             (journal, recovery) = at(folder, &files, Position::default(), &mut contents)?;
             settled = journal.settle(&mut contents);
@@ -334,7 +334,7 @@ mod tests {
             let (map, other) = (map_of(0..90), map_of(others));
             fs::copy(other.path().join(snapshot::NAME), map.path().join(snapshot::NAME)).unwrap();
             let said = fault(map.path());
-            assert!(said.contains("snapshot.loci is not of this journal: it "), "{said}");
+            assert!(said.contains("snapshot.loci is of no use to this journal: it "), "{said}");
         }
     }
 

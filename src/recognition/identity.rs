@@ -229,10 +229,10 @@ impl Recogniser {
         self.regroup(into)
     }
 
-    /// From now on what was learnt as `place` is a place of its own again, if it was merged.
+    /// From now on what was learnt as `place` is a place of its own again, if its merge is not final.
     fn split(&mut self, place: PlaceId) -> Result<(), MapError> {
         self.identities.doubted.retain(|&(a, b), _| a != place && b != place);
-        if self.map.places().nth(place.0 as usize).is_none_or(|place| place.merged_into.is_none()) {
+        if !self.map.can_be_split(place) {
             return Ok(());
         }
         self.map.split_place(place)?;

@@ -89,12 +89,12 @@ pub enum StorageError {
         /// The file.
         path: PathBuf,
     },
-    /// The snapshot is whole, but not of the journal beside it.
-    #[error("{} is not of this journal: {reason}; the next run that learns replaces it", path.display())]
-    Foreign {
+    /// The snapshot is damaged, or not of the journal beside it, which is enough without.
+    #[error("{} is of no use to this journal: {reason}; the next run that learns replaces it", path.display())]
+    Useless {
         /// The file.
         path: PathBuf,
-        /// How it was noticed.
+        /// What does not fit.
         reason: String,
     },
 }
