@@ -38,7 +38,7 @@ fn private_kib() -> u64 {
 
 fn use_of_a_large_one(criterion: &mut Criterion, images: &[Vec<Descriptor>], path: &Path) {
     let options = TrainingOptions { depth: 6, ..TrainingOptions::default() };
-    let trained = train_on(&MemoryCorpus::from(images), options, &|_| {}).expect("a vocabulary");
+    let trained = train_on(&MemoryCorpus::from(images), options, &()).expect("a vocabulary");
     trained.vocabulary.save(path).expect("room for the vocabulary");
     println!(
         "k 10, L 6 of {} descriptors: {} words, {} bytes, distortion {:.2} bits",
@@ -77,7 +77,7 @@ fn training(criterion: &mut Criterion, images: &[Vec<Descriptor>]) {
     let sample: Vec<Descriptor> = (0..200_000).map(|index| all[index * all.len() / 200_000]).collect();
     let sample = [sample];
     let options = TrainingOptions { depth: 4, ..TrainingOptions::default() };
-    let train = || train_on(&MemoryCorpus::from(&sample[..]), options, &|_| {}).expect("a vocabulary");
+    let train = || train_on(&MemoryCorpus::from(&sample[..]), options, &()).expect("a vocabulary");
     println!("k 10, L 4 of 200,000 descriptors: distortion {:.2} bits", train().mean_distortion_bits);
     let mut group = criterion.benchmark_group("vocabulary_training");
     group.sample_size(10).measurement_time(Duration::from_secs(20));

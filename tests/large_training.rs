@@ -39,7 +39,7 @@ fn a_hundred_million_descriptors_need_less_than_four_gibibytes() {
         corpus.push(Some(&CorpusImage { mean_luminance: 100.0, descriptors })).unwrap();
     }
     let options = TrainingOptions { depth: 6, ..TrainingOptions::default() };
-    let trained = train_on(&corpus, options, &|_| {}).unwrap();
+    let trained = train_on(&corpus, options, &()).unwrap();
     let peak_kib = peak_kib();
     println!(
         "{} descriptors, {} words, distortion {:.2} bits, peak {peak_kib} KiB",

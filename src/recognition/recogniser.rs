@@ -450,7 +450,7 @@ mod tests {
                 let images: Vec<Vec<Descriptor>> = places.map(|place| features(place).descriptors).collect();
                 let corpus = MemoryCorpus { images: &images, mean_luminance: Some(luminance) };
                 let options = TrainingOptions { branching: 6, depth: 3, ..TrainingOptions::default() };
-                (format!("{luminance}").into(), train_on(&corpus, options, &|_| {}).unwrap().vocabulary)
+                (format!("{luminance}").into(), train_on(&corpus, options, &()).unwrap().vocabulary)
             };
             let set = VocabularySet::new(vec![vocabulary(0..8, 120.0), vocabulary(100..108, 40.0)]).unwrap();
             let map = in_memory();

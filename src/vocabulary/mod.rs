@@ -15,8 +15,8 @@ mod version_1;
 pub use grown_words::{GrownWords, Offshoot};
 pub use set::{ConditionId, Light, LightSwitch, VocabularySet};
 pub use training::{
-    Corpus, CorpusImage, MemoryCorpus, Trained, TrainingFile, TrainingOptions, TrainingProgress, train,
-    train_on, weigh_on,
+    Corpus, CorpusImage, MemoryCorpus, Trained, TrainingFile, TrainingOptions, TrainingProgress,
+    TrainingWatcher, train, train_on, weigh_on,
 };
 pub use tree::{Quantised, Vocabulary};
 
@@ -136,6 +136,9 @@ pub enum VocabularyError {
         "no word weighs anything: each one that these images show is in all of them; add images of other scenes"
     )]
     NothingRare,
+    /// Whoever watched the training ended it.
+    #[error("interrupted")]
+    Interrupted,
     /// The settings make no tree.
     #[error("a vocabulary needs a branching of 2 to 32 and a depth of 1 to 8, got {branching} and {depth}")]
     BadShape {

@@ -156,7 +156,7 @@ mod tests {
         let images = [(0..40).map(|index| Descriptor([index * 6; 32])).collect()];
         let corpus = MemoryCorpus { images: &images, mean_luminance: Some(mean_luminance) };
         let options = TrainingOptions { branching: 3, depth: 2, ..TrainingOptions::default() };
-        train_on(&corpus, options, &|_| {}).unwrap().vocabulary
+        train_on(&corpus, options, &()).unwrap().vocabulary
     }
 
     fn set(luminances: &[f32]) -> VocabularySet {

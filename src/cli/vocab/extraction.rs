@@ -15,17 +15,16 @@ use loci::source::{self, SourceError};
 use loci::vocabulary::{Corpus, CorpusImage, TrainingFile, VocabularyError};
 use rayon::prelude::*;
 
+use super::progress::explained;
 use crate::cli::console::{counted, progress_bar};
-use crate::cli::stream::stop_flag;
 
 /// Most frames that are looked at side by side, for each core.
 const FRAMES_PER_CORE: usize = 4;
 /// Bytes of pixels after which no more frames are looked at side by side: memory must not grow with the cores.
 const BATCH_BYTES: usize = 128 << 20;
 
-/// The descriptors of every frame of the sources, those that an earlier run extracted included.
-pub(super) fn extract(names: &[String], out: &Path) -> anyhow::Result<TrainingFile> {
-    let stop = stop_flag()?;
+/// The descriptors of every frame of the sources, those that an earlier run extracted included, unless `stop` is raised.
+pub(super) fn extract(names: &[String], out: &Path, stop: &AtomicBool) -> anyhow::Result<TrainingFile> {
     let announced = names
         .iter()
         .map(|name| Ok(source::open(name, None)?.frame_count()))
@@ -41,16 +40,12 @@ pub(super) fn extract(names: &[String], out: &Path) -> anyhow::Result<TrainingFi
     let progress = progress_bar(announced.into_iter().sum(), "frames", ProgressDrawTarget::stderr());
     let pictures = names.iter().flat_map(|name| pictures(name)).inspect(|_| progress.inc(1));
     let extraction =
-        Extraction { extractor: OrbExtractor::new(OrbOptions::default()), progress: &progress, stop: &stop };
+        Extraction { extractor: OrbExtractor::new(OrbOptions::default()), progress: &progress, stop };
     extraction.run(pictures.skip(known as usize), &mut corpus)?;
     progress.finish_and_clear();
-    let frames = counted(corpus.frame_count(), "frame");
-    anyhow::ensure!(
-        !stop.swap(true, Ordering::Relaxed),
-        "interrupted; the same command goes on with the {frames} in {}",
-        path.display()
-    );
-    // With the flag raised, Ctrl-C ends the program at once from here on: what was extracted is kept.
+    if stop.load(Ordering::Relaxed) {
+        return Err(explained(VocabularyError::Interrupted, &corpus, out));
+    }
     if corpus.descriptor_count() == 0 {
         corpus.remove()?;
         return Err(VocabularyError::NothingToLearn.into());
@@ -59,7 +54,7 @@ pub(super) fn extract(names: &[String], out: &Path) -> anyhow::Result<TrainingFi
 }
 
 /// Where the training of the vocabulary at `out` is kept until that is written.
-fn training_path(out: &Path) -> PathBuf {
+pub(super) fn training_path(out: &Path) -> PathBuf {
     let mut path = out.as_os_str().to_owned();
     path.push(".training");
     path.into()

@@ -2,20 +2,22 @@
 
 mod bench;
 mod extraction;
+mod progress;
 mod train;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
-use indicatif::ProgressDrawTarget;
 use loci::storage::check_replaceable;
 use loci::vocabulary::import::VocabularyFormat;
-use loci::vocabulary::{self, Corpus, TrainingProgress, Vocabulary, VocabularyError, WordId, weigh_on};
+use loci::vocabulary::{self, Corpus, Vocabulary, VocabularyError, WordId, weigh_on};
 use serde::Serialize;
 
 use self::extraction::{extract, frame_files};
-use super::console::{counted, progress_bar, say};
+use self::progress::{Progress, explained};
+use super::console::{counted, say};
+use super::stream::stop_flag;
 use super::{Outcome, WrongArgument};
 
 /// Commands of `loci vocab`.
@@ -135,20 +137,15 @@ fn check_output<'a>(out: &Path, inputs: impl Iterator<Item = &'a Path>) -> anyho
 
 /// Saves `vocabulary` with weights from the images that were named.
 fn weigh(vocabulary: &Vocabulary, arguments: &ImportArguments) -> anyhow::Result<(Vocabulary, Outcome)> {
-    let corpus = extract(&arguments.weights_from, &arguments.out)?;
-    let bar = progress_bar(Some(corpus.image_count()), "images weighed", ProgressDrawTarget::stderr());
-    let weighted = weigh_on(vocabulary, &corpus, &|progress| {
-        if let TrainingProgress::Weighing { done, .. } = progress {
-            bar.set_position(done);
-        }
-    });
-    bar.finish_and_clear();
+    let stop = stop_flag()?;
+    let corpus = extract(&arguments.weights_from, &arguments.out, &stop)?;
+    let weighted = weigh_on(vocabulary, &corpus, &Progress::new(&stop));
     if matches!(weighted, Err(VocabularyError::NothingRare)) {
         // Kept, it would be in the way of the images that are tried next.
         corpus.remove()?;
         return Err(VocabularyError::NothingRare.into());
     }
-    let weighted = weighted?;
+    let weighted = weighted.map_err(|error| explained(error, &corpus, &arguments.out))?;
     weighted.save(&arguments.out)?;
     let outcome = if corpus.frame_count() == corpus.image_count() { Outcome::Done } else { Outcome::Lost };
     corpus.remove()?;
@@ -196,8 +193,10 @@ impl fmt::Display for Info {
         writeln!(f, "words       {words}, {weightless} of them without weight; {}", self.weighting)?;
         match (self.images, self.mean_luminance) {
             (0, _) => writeln!(f, "trained on  unknown images")?,
-            (images, None) => writeln!(f, "trained on  {images} images")?,
-            (images, Some(light)) => writeln!(f, "trained on  {images} images of mean luminance {light:.1}")?,
+            (images, None) => writeln!(f, "trained on  {}", counted(images, "image"))?,
+            (images, Some(light)) => {
+                writeln!(f, "trained on  {} of mean luminance {light:.1}", counted(images, "image"))?;
+            }
         }
         writeln!(f, "size        {} bytes, version {}", self.bytes, self.version)?;
         write!(f, "checksum    {}", if self.verified { "right" } else { "not checked (use --verify)" })

@@ -4,16 +4,15 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, value_parser};
-use indicatif::ProgressDrawTarget;
-use loci::vocabulary::{
-    Corpus, Trained, TrainingFile, TrainingOptions, TrainingProgress, VocabularyError, train_on,
-};
+use loci::vocabulary::{Corpus, Trained, TrainingOptions, VocabularyError, train_on};
 use serde::Serialize;
 
 use super::extraction::extract;
+use super::progress::{Progress, explained};
 use super::{Info, check_output, describe};
 use crate::cli::Outcome;
-use crate::cli::console::{progress_bar, say};
+use crate::cli::console::say;
+use crate::cli::stream::stop_flag;
 
 /// Arguments of `loci vocab train`.
 #[derive(Args)]
@@ -68,8 +67,10 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
         ..TrainingOptions::default()
     };
     check_output(&arguments.out, arguments.sources.iter().map(Path::new))?;
-    let corpus = extract(&arguments.sources, &arguments.out)?;
-    let trained = grow(&corpus, options)?;
+    let stop = stop_flag()?;
+    let corpus = extract(&arguments.sources, &arguments.out, &stop)?;
+    let trained = train_on(&corpus, options, &Progress::new(&stop));
+    let trained = trained.map_err(|error| explained(error, &corpus, &arguments.out))?;
     trained.vocabulary.save(&arguments.out)?;
     let report = report(arguments, &trained, corpus.frame_count() - corpus.image_count());
     corpus.remove()?;
@@ -78,25 +79,6 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     }
     show(&report, arguments.json)?;
     Ok(if report.unreadable_frames == 0 { Outcome::Done } else { Outcome::Lost })
-}
-
-fn grow(corpus: &TrainingFile, options: TrainingOptions) -> anyhow::Result<Trained> {
-    let bar = |length: u64, unit: &str| progress_bar(Some(length), unit, ProgressDrawTarget::stderr());
-    let growing =
-        bar(corpus.descriptor_count() * u64::from(options.depth), "descriptors sorted into the tree");
-    let weighing = bar(corpus.image_count(), "images weighed");
-    let trained = train_on(corpus, options, &|progress| match progress {
-        TrainingProgress::Growing { done, total } => {
-            growing.set_length(total);
-            growing.set_position(done);
-        }
-        TrainingProgress::Weighing { done, .. } => {
-            growing.finish_and_clear();
-            weighing.set_position(done);
-        }
-    })?;
-    weighing.finish_and_clear();
-    Ok(trained)
 }
 
 fn report(arguments: &TrainArguments, trained: &Trained, unreadable_frames: u64) -> Report {

@@ -174,8 +174,8 @@ fn lines_that_say_nothing_are_not_read_for_ever() {
     for (head, idle, reason) in [
         ("8 3 0 0\n", "\n", "only empty lines"),
         (yaml, "\n", "only empty lines"),
-        ("%YAML:1.0\n", "\n", "it lists no nodes"),
-        ("%YAML:1.0\n", "a: b\n", "it lists no nodes"),
+        ("%YAML:1.0\n", "\n", "expected k, L"),
+        ("%YAML:1.0\n", "a: b\n", "expected k, L"),
     ] {
         let text = head.to_owned() + &idle.repeat(1 << 20);
         assert!(message(text.as_bytes()).contains(reason), "{}", message(text.as_bytes()));

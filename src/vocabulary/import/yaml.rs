@@ -29,7 +29,7 @@ pub(super) fn read(text: impl BufRead) -> Result<ForeignTree, Fault> {
             break;
         }
     }
-    Err(lines.fault("it lists no nodes"))
+    Err(lines.fault("expected k, L, scoringType, weightingType, then nodes and words, as DBoW2 writes them"))
 }
 
 fn lines_fault(head: &Head, reason: String) -> Fault {

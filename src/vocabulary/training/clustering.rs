@@ -5,6 +5,7 @@ use rand::Rng;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
+use super::TrainingWatcher;
 use crate::feature::Descriptor;
 use crate::kernel;
 
@@ -23,15 +24,21 @@ pub(super) struct Cluster {
     pub(super) size: usize,
 }
 
-/// Splits `run` into at most `k` clusters and reorders it so that each is one run, in their order.
-pub(super) fn split(run: &mut [Descriptor], k: usize, random: &mut Pcg64) -> Vec<Cluster> {
+/// Splits `run` into at most `k` clusters and reorders it so that each is one run, in their order; taken as it is where
+/// `watcher` ends it.
+pub(super) fn split(
+    run: &mut [Descriptor],
+    k: usize,
+    random: &mut Pcg64,
+    watcher: &dyn TrainingWatcher,
+) -> Vec<Cluster> {
     let mut centres = first_centres(run, k, random);
     let mut assignment = vec![NOWHERE; run.len()];
     let mut members = vec![BitCounts::default(); centres.len()];
     let chunks = run.len().div_ceil(CHUNK_DESCRIPTORS);
     let mut moves = vec![vec![Moves::default(); centres.len()]; chunks];
     for _ in 0..MAX_ROUNDS {
-        if !assign(run, &centres, &mut assignment, &mut moves) {
+        if !assign(run, &centres, &mut assignment, &mut moves) || !watcher.goes_on() {
             break;
         }
         for moves in &mut moves {
@@ -216,7 +223,7 @@ mod tests {
             k in 2..8_usize,
         ) {
             let mut run = descriptors.clone();
-            let clusters = split(&mut run, k, &mut Pcg64::seed_from_u64(1));
+            let clusters = split(&mut run, k, &mut Pcg64::seed_from_u64(1), &());
             let mut start = 0;
             for cluster in &clusters {
                 for descriptor in &run[start..start + cluster.size] {

@@ -77,6 +77,19 @@ pub enum TrainingProgress {
     },
 }
 
+/// Whoever wants to know how far a training is, and may end it; `()` does neither.
+pub trait TrainingWatcher: Sync {
+    /// Takes note, from any thread.
+    fn note(&self, _progress: TrainingProgress) {}
+
+    /// Whether the training goes on; asked again within seconds.
+    fn goes_on(&self) -> bool {
+        true
+    }
+}
+
+impl TrainingWatcher for () {}
+
 /// A vocabulary, and how well it fits what it was trained on.
 #[derive(Debug)]
 pub struct Trained {
@@ -101,17 +114,17 @@ pub struct Trained {
 /// # Errors
 /// If there is no descriptor at all, or the options make no tree.
 pub fn train(images: &[Vec<Descriptor>], options: TrainingOptions) -> Result<Vocabulary, VocabularyError> {
-    Ok(train_on(&MemoryCorpus::from(images), options, &|_| {})?.vocabulary)
+    Ok(train_on(&MemoryCorpus::from(images), options, &())?.vocabulary)
 }
 
-/// Learns a vocabulary from `corpus`, on all cores, and tells `watch` how far it is.
+/// Learns a vocabulary from `corpus`, on all cores, and tells `watcher` how far it is.
 ///
 /// # Errors
-/// If there is no descriptor at all, the options make no tree, or the corpus cannot be read.
+/// If there is no descriptor at all, the options make no tree, the corpus cannot be read, or `watcher` ends it.
 pub fn train_on(
     corpus: &dyn Corpus,
     options: TrainingOptions,
-    watch: &(dyn Fn(TrainingProgress) + Sync),
+    watcher: &dyn TrainingWatcher,
 ) -> Result<Trained, VocabularyError> {
     let TrainingOptions { branching, depth, seed, most_descriptors } = options;
     options.check()?;
@@ -120,7 +133,7 @@ pub fn train_on(
         return Err(VocabularyError::NothingToLearn);
     }
     let sampled_descriptors = sample.len() as u64;
-    let tree = tree_growth::grow(sample, &options, watch);
+    let tree = tree_growth::grow(sample, &options, watcher)?;
     let counts = Counts {
         branching,
         depth,
@@ -132,7 +145,7 @@ pub fn train_on(
     };
     let file = format::encode(&counts, &tree.centres, &tree.links, &vec![0.0; tree.words as usize]);
     let unweighted = Vocabulary::from_bytes(file, Path::new("the trained vocabulary"))?;
-    let statistics = word_statistics::count(&unweighted, corpus, watch)?;
+    let statistics = word_statistics::count(&unweighted, corpus, watcher)?;
     Ok(Trained {
         vocabulary: weighted(&unweighted, corpus, &statistics.inverse_document_frequencies())?,
         descriptors: corpus.descriptor_count(),
@@ -149,16 +162,16 @@ pub fn train_on(
 /// nothing from then on, as in DBoW2's training.
 ///
 /// # Errors
-/// If there is no descriptor at all, no word would weigh anything, or the corpus cannot be read.
+/// If there is no descriptor at all, no word would weigh anything, the corpus cannot be read, or `watcher` ends it.
 pub fn weigh_on(
     vocabulary: &Vocabulary,
     corpus: &dyn Corpus,
-    watch: &(dyn Fn(TrainingProgress) + Sync),
+    watcher: &dyn TrainingWatcher,
 ) -> Result<Vocabulary, VocabularyError> {
     if corpus.descriptor_count() == 0 {
         return Err(VocabularyError::NothingToLearn);
     }
-    let weights = word_statistics::count(vocabulary, corpus, watch)?.inverse_document_frequencies();
+    let weights = word_statistics::count(vocabulary, corpus, watcher)?.inverse_document_frequencies();
     if weights.iter().all(|&weight| weight == 0.0) {
         return Err(VocabularyError::NothingRare);
     }
@@ -176,6 +189,8 @@ fn weighted(
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::{AtomicU32, Ordering};
+
     use super::*;
     use proptest::prelude::*;
     use rand::{Rng, SeedableRng};
@@ -251,7 +266,7 @@ mod tests {
         let vocabulary = train(&images(20, 1), options(5, 3)).unwrap();
         let others = images(31, 1);
         let corpus = MemoryCorpus { images: &others, mean_luminance: Some(70.0) };
-        let weighed = weigh_on(&vocabulary, &corpus, &|_| {}).unwrap();
+        let weighed = weigh_on(&vocabulary, &corpus, &()).unwrap();
         assert_eq!((weighed.image_count(), weighed.luminance()), (31, Some(70.0)));
         let shown = |image: &[Descriptor], word| image.iter().any(|d| vocabulary.quantise(d).word == word);
         for descriptor in &others[0] {
@@ -261,7 +276,7 @@ mod tests {
             assert_eq!(weighed.weight(quantised.word), (31.0 / images_with as f64).ln());
         }
         let nothing = MemoryCorpus::from(&[][..]);
-        assert!(matches!(weigh_on(&vocabulary, &nothing, &|_| {}), Err(VocabularyError::NothingToLearn)));
+        assert!(matches!(weigh_on(&vocabulary, &nothing, &()), Err(VocabularyError::NothingToLearn)));
     }
 
     #[test]
@@ -269,7 +284,7 @@ mod tests {
         let [one, two, unseen] = [0, 15, 255].map(|byte| Descriptor([byte; 32]));
         let vocabulary = train(&[one, two, unseen].map(|kind| vec![kind]), options(3, 1)).unwrap();
         let others = [vec![one], vec![two]];
-        let weighed = weigh_on(&vocabulary, &MemoryCorpus::from(&others[..]), &|_| {}).unwrap();
+        let weighed = weigh_on(&vocabulary, &MemoryCorpus::from(&others[..]), &()).unwrap();
         let weights = |descriptor| {
             let word = vocabulary.quantise(descriptor).word;
             (vocabulary.weight(word), weighed.weight(word))
@@ -283,7 +298,7 @@ mod tests {
         let vocabulary = train(&images(20, 1), options(5, 3)).unwrap();
         let alike = vec![images(1, 1).concat(); 2];
         for images in [&alike[..1], &alike] {
-            let weighed = weigh_on(&vocabulary, &MemoryCorpus::from(images), &|_| {});
+            let weighed = weigh_on(&vocabulary, &MemoryCorpus::from(images), &());
             assert!(matches!(weighed, Err(VocabularyError::NothingRare)));
         }
     }
@@ -312,7 +327,7 @@ mod tests {
         let images = images(200, 4);
         let trained = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| train_on(&MemoryCorpus::from(&images[..]), options(5, 4), &|_| {}).unwrap())
+            pool.install(|| train_on(&MemoryCorpus::from(&images[..]), options(5, 4), &()).unwrap())
         };
         let (one, three) = (trained(1), trained(3));
         let folder = tempfile::tempdir().unwrap();
@@ -328,7 +343,7 @@ mod tests {
     #[test]
     fn the_figures_are_those_of_quantising_every_descriptor() {
         let images = images(20, 5);
-        let trained = train_on(&MemoryCorpus::from(&images[..]), options(3, 3), &|_| {}).unwrap();
+        let trained = train_on(&MemoryCorpus::from(&images[..]), options(3, 3), &()).unwrap();
         let quantised: Vec<_> = images.iter().flatten().map(|d| trained.vocabulary.quantise(d)).collect();
         let distortion: u64 = quantised.iter().map(|q| u64::from(q.distance_bits)).sum();
         let mut occupancy = vec![0_u32; trained.vocabulary.word_count() as usize];
@@ -341,10 +356,28 @@ mod tests {
     }
 
     #[test]
+    fn a_training_ends_where_its_watcher_says_so() {
+        struct Impatient(AtomicU32);
+        impl TrainingWatcher for Impatient {
+            fn goes_on(&self) -> bool {
+                self.0.fetch_add(1, Ordering::Relaxed) < 20
+            }
+        }
+        let images = images(40, 6);
+        let corpus = MemoryCorpus::from(&images[..]);
+        let impatient = Impatient(AtomicU32::new(0));
+        assert!(matches!(train_on(&corpus, options(4, 3), &impatient), Err(VocabularyError::Interrupted)));
+        assert!(impatient.0.into_inner() < 200, "it was not asked until the end");
+        let vocabulary = train(&images, options(4, 3)).unwrap();
+        let never = Impatient(AtomicU32::new(20));
+        assert!(matches!(weigh_on(&vocabulary, &corpus, &never), Err(VocabularyError::Interrupted)));
+    }
+
+    #[test]
     fn a_small_sample_grows_the_tree_and_all_images_weigh_it() {
         let images = images(40, 6);
         let few = TrainingOptions { most_descriptors: 300, ..options(4, 3) };
-        let trained = train_on(&MemoryCorpus::from(&images[..]), few, &|_| {}).unwrap();
+        let trained = train_on(&MemoryCorpus::from(&images[..]), few, &()).unwrap();
         assert_eq!((trained.sampled_descriptors, trained.descriptors), (300, 2400));
         assert_eq!(trained.vocabulary.image_count(), 40);
         let heaviest =

@@ -8,8 +8,9 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
 use super::clustering::split;
-use super::{TrainingOptions, TrainingProgress};
+use super::{TrainingOptions, TrainingProgress, TrainingWatcher};
 use crate::feature::Descriptor;
+use crate::vocabulary::VocabularyError;
 use crate::vocabulary::format::Link;
 
 /// A grown tree as the file has it, node 0 its root.
@@ -24,20 +25,23 @@ pub(super) struct Tree {
 struct Branch(Vec<([u8; 32], Branch)>);
 
 /// Grows a tree from `sample`, which is not empty.
+///
+/// # Errors
+/// If `watcher` ends it.
 pub(super) fn grow(
     mut sample: Vec<Descriptor>,
     options: &TrainingOptions,
-    watch: &(dyn Fn(TrainingProgress) + Sync),
-) -> Tree {
+    watcher: &dyn TrainingWatcher,
+) -> Result<Tree, VocabularyError> {
     let growth = Growth {
         branching: options.branching as usize,
         depth: options.depth,
         done: AtomicU64::new(0),
         total: sample.len() as u64 * u64::from(options.depth),
-        watch,
+        watcher,
     };
     let root = growth.branch(&mut sample, 0, options.seed);
-    flatten(root)
+    if watcher.goes_on() { Ok(flatten(root)) } else { Err(VocabularyError::Interrupted) }
 }
 
 struct Growth<'a> {
@@ -45,17 +49,18 @@ struct Growth<'a> {
     depth: u32,
     done: AtomicU64,
     total: u64,
-    watch: &'a (dyn Fn(TrainingProgress) + Sync),
+    watcher: &'a dyn TrainingWatcher,
 }
 
 impl Growth<'_> {
-    /// The subtree of a node at `level` with the descriptors in `run`; `stream` is its random stream.
+    /// The subtree of a node at `level` with the descriptors in `run`; `stream` is its random stream. Cut short where
+    /// the watcher ends it.
     fn branch(&self, run: &mut [Descriptor], level: u32, stream: u64) -> Branch {
-        if level == self.depth || (run.len() < 2 && level > 0) {
+        if level == self.depth || (run.len() < 2 && level > 0) || !self.watcher.goes_on() {
             self.settled(run.len() as u64 * u64::from(self.depth - level));
             return Branch::default();
         }
-        let clusters = split(run, self.branching, &mut Pcg64::seed_from_u64(stream));
+        let clusters = split(run, self.branching, &mut Pcg64::seed_from_u64(stream), self.watcher);
         if clusters.len() == 1 && level > 0 {
             self.settled(run.len() as u64 * u64::from(self.depth - level));
             return Branch::default();
@@ -75,7 +80,7 @@ impl Growth<'_> {
 
     fn settled(&self, descriptors: u64) {
         let done = self.done.fetch_add(descriptors, Ordering::Relaxed) + descriptors;
-        (self.watch)(TrainingProgress::Growing { done, total: self.total });
+        self.watcher.note(TrainingProgress::Growing { done, total: self.total });
     }
 }
 

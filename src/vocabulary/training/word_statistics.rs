@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::TrainingProgress;
 use super::corpus::Corpus;
+use super::{TrainingProgress, TrainingWatcher};
 use crate::feature::Descriptor;
 use crate::vocabulary::{Quantised, Vocabulary, VocabularyError};
 
@@ -25,7 +25,7 @@ pub(super) struct WordStatistics {
 pub(super) fn count(
     vocabulary: &Vocabulary,
     corpus: &dyn Corpus,
-    watch: &(dyn Fn(TrainingProgress) + Sync),
+    watcher: &dyn TrainingWatcher,
 ) -> Result<WordStatistics, VocabularyError> {
     let words = vocabulary.word_count() as usize;
     let mut statistics = WordStatistics {
@@ -42,16 +42,19 @@ pub(super) fn count(
             batch.par_iter().map(|image| vocabulary.quantise_all(image)).collect();
         quantised.into_iter().for_each(|image| statistics.add(image));
         batch.clear();
-        watch(TrainingProgress::Weighing { done: statistics.images, total });
+        watcher.note(TrainingProgress::Weighing { done: statistics.images, total });
     };
     corpus.visit(&mut |image| {
+        if !watcher.goes_on() {
+            return;
+        }
         batch.push(image.to_vec());
         if batch.len() == BATCH_IMAGES {
             count(&mut batch);
         }
     })?;
     count(&mut batch);
-    Ok(statistics)
+    if watcher.goes_on() { Ok(statistics) } else { Err(VocabularyError::Interrupted) }
 }
 
 impl WordStatistics {
