@@ -16,7 +16,7 @@ use super::replay::version_1_experience;
 use super::syncer::JournalSyncer;
 use super::version_1;
 use crate::feature::Features;
-use crate::storage::{Envelope, Folder, Reading, RecordLog, StorageError, Tail};
+use crate::storage::{AppendFile, Envelope, Folder, Reading, RecordLog, StorageError, Tail};
 
 /// A point of the journal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -38,10 +38,10 @@ impl Segment {
         }
     }
 
-    fn is_linked(&self) -> io::Result<bool> {
+    fn file(&self) -> Arc<dyn AppendFile> {
         match self {
-            Self::Log(log) => log.is_linked(),
-            Self::Version1(journal) => journal.is_linked(),
+            Self::Log(log) => log.file(),
+            Self::Version1(journal) => journal.file(),
         }
     }
 }
@@ -95,9 +95,19 @@ impl Journal {
         let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
         let (log, _) = RecordLog::open(file, (&KIND, &path), Tail::Mended, reading)?;
         self.folder.sync().map_err(StorageError::io("sync", self.folder.path()))?;
-        self.syncer.follow(&log);
         self.segments.insert(number, Segment::Log(log));
+        self.watch();
         Ok(())
+    }
+
+    /// Has the syncer bring the segment that grows onto the medium, and look after all of them.
+    pub(super) fn watch(&self) {
+        let files = self.segments.iter().map(|(&number, segment)| (self.path_of(number), segment.file()));
+        let active = match self.segments.last_key_value() {
+            Some((_, Segment::Log(log))) => Some(log.syncer()),
+            _ => None,
+        };
+        self.syncer.watch(active, files.collect());
     }
 
     /// Goes on in a new segment.
@@ -120,14 +130,7 @@ impl Journal {
     /// Returns when everything appended would survive a power cut, and fails if any segment was deleted.
     pub(super) fn sync(&self) -> Result<(), StorageError> {
         self.check()?;
-        self.syncer.try_sync()?;
-        for (&number, segment) in &self.segments {
-            let path = self.path_of(number);
-            if !segment.is_linked().map_err(StorageError::io("look at", &path))? {
-                return Err(StorageError::Deleted { path });
-            }
-        }
-        Ok(())
+        self.syncer.try_sync()
     }
 
     /// Fails if a sync in the background did.
@@ -174,6 +177,7 @@ impl Journal {
         let Some((number, _)) = self.segments.pop_first() else { return Ok(()) };
         let name = segment_name(number);
         let path = self.folder.path().join(&name);
+        self.watch();
         match self.folder.remove(&name) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
                 return Err(StorageError::io("delete", &path)(error));

@@ -181,7 +181,7 @@ impl Journal {
         match self.segments.last_key_value() {
             Some((_, Segment::Log(log))) => {
                 log.mend(&KIND)?;
-                self.syncer.follow(log);
+                self.watch();
                 Ok(())
             }
             Some((&last, Segment::Version1(journal))) => {

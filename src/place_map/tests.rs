@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use super::*;
@@ -243,7 +244,11 @@ fn a_segment_that_is_deleted_under_the_map_is_named_by_its_next_change_and_the_m
     ];
     type Change = fn(&mut PlaceMap) -> Result<(), MapError>;
     let until_a_segment_ends: Change = |map| (100..200).try_for_each(|i| learn(map, None, i, true).map(drop));
-    let changes: [Change; 3] = [PlaceMap::sync, PlaceMap::close, until_a_segment_ends];
+    let after_a_sync_beside: Change = |map| {
+        map.syncer().sync();
+        learn(map, None, 100, true).map(drop)
+    };
+    let changes: [Change; 4] = [PlaceMap::sync, PlaceMap::close, until_a_segment_ends, after_a_sync_beside];
     for folder in folders {
         for change in changes {
             let mut map = PlaceMap::open_folder(folder.clone(), Some(SMALL), None).unwrap();
@@ -264,6 +269,25 @@ fn a_segment_that_is_deleted_under_the_map_is_named_by_its_next_change_and_the_m
             folder.names().unwrap().iter().for_each(|name| folder.remove(name).unwrap());
         }
     }
+}
+
+#[test]
+fn a_sync_beside_the_writer_never_takes_its_own_deleting_for_somebody_elses() {
+    let mut map = PlaceMap::in_memory(SMALL).unwrap();
+    let syncer = map.syncer();
+    let is_over = AtomicBool::new(false);
+    let oldest = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !is_over.load(Ordering::Relaxed) {
+                syncer.sync();
+            }
+        });
+        let learnt = (0..1000)
+            .try_for_each(|index| learn(&mut map, (index > 0).then_some(PlaceId(0)), index, true).map(drop));
+        is_over.store(true, Ordering::Relaxed);
+        learnt.map(|()| map.journal.oldest_number())
+    });
+    assert!(oldest.unwrap() > 5);
 }
 
 #[test]

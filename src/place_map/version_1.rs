@@ -6,7 +6,6 @@
 //! is learnt goes into the next segment.
 
 use std::f32::consts::PI;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -219,12 +218,9 @@ impl Journal {
         self.file.sync().map_err(StorageError::io("sync", &self.path))
     }
 
-    /// Whether the file still has a name.
-    ///
-    /// # Errors
-    /// What the medium says.
-    pub(super) fn is_linked(&self) -> io::Result<bool> {
-        self.file.is_linked()
+    /// The file, for those who look whether it still has a name.
+    pub(super) fn file(&self) -> Arc<dyn AppendFile> {
+        Arc::clone(&self.file)
     }
 
     /// Length in bytes.

@@ -90,7 +90,7 @@ fn held_by_another(path: &Path) -> StorageError {
         Ok(process) => format!("process {process}"),
         Err(_) => "another process".to_owned(),
     };
-    let reason = format!("{holder} is writing there; stop it or use --read-only");
+    let reason = format!("{holder} is writing there; stop it first");
     StorageError::io("lock", path)(io::Error::other(reason))
 }
 

@@ -178,12 +178,10 @@ impl RecordLog {
         LogSyncer(Arc::clone(&self.shared))
     }
 
-    /// Whether the file still has a name: one that was deleted is gone with this process.
-    ///
-    /// # Errors
-    /// What the medium says.
-    pub fn is_linked(&self) -> io::Result<bool> {
-        self.shared.file.is_linked()
+    /// The file, for those who look whether it still has a name.
+    #[must_use]
+    pub fn file(&self) -> Arc<dyn AppendFile> {
+        Arc::clone(&self.shared.file)
     }
 
     /// Length of the log in bytes.
