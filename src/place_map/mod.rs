@@ -31,6 +31,7 @@ mod thinning;
 mod upkeep;
 mod verify;
 mod version_1;
+mod witness;
 
 pub use error::MapError;
 pub use map::{Learnt, NewExperience, PlaceMap};

@@ -72,8 +72,8 @@ impl PlaceMap {
             Err(StorageError::Damaged { path, reason }) => {
                 (None, Some(StorageError::Useless { path, reason }))
             }
-            Err(fault @ StorageError::WrongKind { .. }) => (None, Some(fault)),
-            Err(error) => return Err(error.into()),
+            // It only saves time: the journal is enough.
+            Err(fault) => (None, Some(fault)),
         };
         let length_bytes = snapshot.as_ref().map_or(0, |snapshot| snapshot.length_bytes);
         let is_writable = options.is_some();
@@ -121,7 +121,7 @@ fn attempts_after(error: &StorageError) -> u32 {
     match error {
         StorageError::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => READER_ATTEMPTS,
         StorageError::Io { source, .. } if source.kind() == io::ErrorKind::UnexpectedEof => 2,
-        StorageError::Damaged { .. } | StorageError::Useless { .. } => 2,
+        StorageError::Damaged { .. } | StorageError::Useless { .. } | StorageError::Ahead { .. } => 2,
         _ => 1,
     }
 }

@@ -7,7 +7,6 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::Experience;
 use super::contents::{Contents, Location, MAX_SEGMENT};
 use super::format::{FEATURES, KIND, THUMBNAIL};
 use super::journal::{Journal, Position, Segment, missing, segment_name, segment_numbers};
@@ -15,7 +14,7 @@ use super::replay::{apply, apply_version_1};
 use super::snapshot::{self, Snapshot};
 use super::version_1;
 use crate::storage::{
-    AppendFile, Folder, Footing, LoggedRecord, Reading, RecordLog, Recovery, StorageError, Tail, log_kind,
+    AppendFile, Folder, LoggedRecord, Reading, RecordLog, Recovery, StorageError, Tail, log_kind,
 };
 
 /// Behind every record there can be.
@@ -56,9 +55,12 @@ impl Journal {
         let mut snapshot_fault = None;
         let mut start = Snapshot::default();
         if let Some(snapshot) = snapshot {
-            match at(folder, &files, BEHIND_ALL, &mut Contents::default())?.0.disowns(&snapshot)? {
-                None => start = snapshot,
-                Some(reason) => snapshot_fault = Some(useless(reason)),
+            match at(folder, &files, BEHIND_ALL, &mut Contents::default())?.0.disowns(&snapshot) {
+                Ok(None) => start = snapshot,
+                Ok(Some(reason)) => snapshot_fault = Some(useless(reason)),
+                // What the journal has lost is not lost for good by reading what it has.
+                Err(ahead @ StorageError::Ahead { .. }) if !writable => snapshot_fault = Some(ahead),
+                Err(error) => return Err(error),
             }
         }
         let has_snapshot = start.position != Position::default();
@@ -76,92 +78,6 @@ impl Journal {
             journal.make_writable()?;
         }
         Ok(Opened { journal, contents, recovery, snapshot_fault })
-    }
-
-    /// Why `snapshot` cannot be of this journal, if it cannot.
-    ///
-    /// # Errors
-    /// If it is, and the journal has lost or damaged what the snapshot stands for; or the medium fails.
-    fn disowns(&self, snapshot: &Snapshot) -> Result<Option<String>, StorageError> {
-        let Position { segment, offset } = snapshot.position;
-        if segment < self.oldest_number() {
-            return Ok(Some(format!("it is older than {}", segment_name(self.oldest_number()))));
-        }
-        if snapshot.contents.locations().any(|location| location >= Location::new(segment, offset)) {
-            return Ok(Some("it speaks of what was not yet written when it was taken".to_owned()));
-        }
-        // Where a record of the snapshot was found, the way from there to its position is the shortest.
-        let mut found_at = None;
-        if let Some(witness) = self.witness(snapshot) {
-            match self.bears_out(witness)? {
-                Some(false) => return Ok(Some(format!("it says otherwise of experience {}", witness.id.0))),
-                Some(true) if witness.location.segment() == segment => {
-                    found_at = Some(witness.location.offset());
-                }
-                Some(true) | None => {}
-            }
-        }
-        let length = match self.segments.get(&segment) {
-            None => return Err(self.missing(segment)),
-            Some(Segment::Version1(_)) => {
-                return Ok(Some(format!(
-                    "it was taken in {}, of which none is taken",
-                    segment_name(segment)
-                )));
-            }
-            Some(Segment::Log(log)) => log.length_bytes(),
-        };
-        let damaged = |reason| StorageError::Damaged { path: self.path_of(segment), reason };
-        if offset > length {
-            let reason =
-                format!("it ends after {length} bytes, but had {offset} when its snapshot was taken");
-            return Err(damaged(reason));
-        }
-        match self.footing(Location::new(segment, offset), found_at.unwrap_or(0))? {
-            Footing::Boundary => Ok(None),
-            // What is damaged there the snapshot knows.
-            Footing::Hidden { .. } if found_at.is_some() => Ok(None),
-            Footing::Within => {
-                let name = segment_name(segment);
-                Ok(Some(format!("it was taken at byte {offset} of {name}, where no record begins")))
-            }
-            Footing::Hidden { by } => Err(damaged(format!("bad record at byte {by}"))),
-        }
-    }
-
-    /// The latest experience of `snapshot` whose record would lie within the journal.
-    fn witness<'a>(&self, snapshot: &'a Snapshot) -> Option<&'a Experience> {
-        let Position { segment, offset } = self.end();
-        let end = Location::new(segment, offset);
-        let experiences = snapshot.contents.experiences.values();
-        experiences
-            .filter(|experience| experience.location < end)
-            .max_by_key(|experience| experience.location)
-    }
-
-    /// Whether the journal has the record of `witness` where the snapshot says; `None` if that cannot be told, since
-    /// the segment is gone, damaged, or of a version that does not number its experiences.
-    fn bears_out(&self, witness: &Experience) -> Result<Option<bool>, StorageError> {
-        let Some(Segment::Log(_)) = self.segments.get(&witness.location.segment()) else { return Ok(None) };
-        match self.experience(witness.location) {
-            Ok(record) => {
-                let is_same = (record.experience, record.place, record.view)
-                    == (witness.id.0, witness.learnt_as.0, witness.view);
-                Ok(Some(is_same))
-            }
-            Err(StorageError::Damaged { .. }) => {
-                let footing = self.footing(witness.location, 0)?;
-                Ok((footing == Footing::Within).then_some(false))
-            }
-            Err(error) => Err(error),
-        }
-    }
-
-    fn footing(&self, location: Location, from: u64) -> Result<Footing, StorageError> {
-        match self.segments.get(&location.segment()) {
-            Some(Segment::Log(log)) => log.footing(from, location.offset()),
-            _ => Err(self.missing(location.segment())),
-        }
     }
 
     /// Puts together what was read of the journal, if it makes sense.
@@ -276,9 +192,10 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::place_map::format::{self, PLACE, PlaceRecord};
+    use crate::place_map::batch::Batch;
+    use crate::place_map::format::{self, PLACE, PlaceRecord, THINNED, ThinnedRecord};
     use crate::place_map::tests::{SMALL, found, knowledge, learn};
-    use crate::place_map::{Durability, MapOptions, PlaceMap};
+    use crate::place_map::{Durability, ExperienceId, MapOptions, PlaceId, PlaceMap};
     use crate::storage::DiskFolder;
 
     /// Nothing but the snapshot says what is on the medium.
@@ -353,9 +270,9 @@ mod tests {
 
     #[test]
     fn a_snapshot_whose_places_do_not_fit_together_is_not_used() {
-        let map = map_of(0..5);
+        let map = map_of(0..30);
         let Snapshot { position, mut contents, .. } = snapshot_of(map.path());
-        contents.places.remove(&crate::place_map::PlaceId(2));
+        contents.places.remove(&PlaceId(2));
         snapshot::write(&DiskFolder::new(map.path()), position, &contents).unwrap();
         assert!(fault(map.path()).contains("place 2 is missing"));
     }
@@ -385,29 +302,83 @@ mod tests {
     }
 
     #[test]
-    fn a_journal_that_lost_what_its_snapshot_stands_for_is_damaged_and_nothing_is_cut() {
+    fn a_journal_that_lost_what_its_snapshot_stands_for_is_read_alone_and_not_written() {
         let map = map_of(0..5);
         let path = map.path().join(segment_name(1));
         let bytes = fs::read(&path).unwrap();
         fs::write(&path, &bytes[..bytes.len() - 700]).unwrap();
         let (left, had) = (bytes.len() - 700, bytes.len());
-        let reason = format!("it ends after {left} bytes, but had {had} when its snapshot was taken");
-        assert_eq!(
-            refusal(map.path()),
-            format!("{} is damaged: {reason}; restore it from a copy", path.display())
-        );
+        let reason = format!("{} ends after {left} bytes, but had {had} when it was taken", segment_name(1));
+        assert_only_read(map.path(), &reason);
         let map = map_of(0..30);
-        let last = map.path().join(segment_name(snapshot_of(map.path()).position.segment));
-        fs::remove_file(&last).unwrap();
-        let expected = format!("cannot open {}: it is missing; restore it from a copy", last.display());
-        assert_eq!(refusal(map.path()), expected);
+        let last = segment_name(snapshot_of(map.path()).position.segment);
+        fs::remove_file(map.path().join(&last)).unwrap();
+        assert_only_read(map.path(), &format!("{last} is missing"));
+    }
+
+    /// Asserts that the map is not written since its snapshot knows more, but read without it.
+    fn assert_only_read(folder: &Path, reason: &str) {
+        let snapshot = folder.join(snapshot::NAME);
+        let fix = "delete it to go on with what the journal has";
+        let said = format!("{} knows more than the journal beside it: {reason}; {fix}", snapshot.display());
+        assert_eq!(refusal(folder), said);
+        let read = PlaceMap::open_read_only(folder).unwrap();
+        assert_eq!(read.snapshot_fault().unwrap().to_string(), said);
+        fs::remove_file(snapshot).unwrap();
+        assert_eq!(knowledge(&PlaceMap::open(folder, UNSYNCED).unwrap()), knowledge(&read));
+    }
+
+    #[test]
+    fn a_snapshot_from_a_copy_that_was_changed_otherwise_is_not_used() {
+        type Change = fn(&mut PlaceMap, &str);
+        let name: Change = |map, name| map.name_place(PlaceId(0), name).unwrap();
+        let name_then_the_same: Change = |map, name| {
+            map.name_place(PlaceId(0), name).unwrap();
+            map.name_place(PlaceId(1), "hall").unwrap();
+        };
+        let name_at_the_end_of_a_segment: Change = |map, name| {
+            map.name_place(PlaceId(0), name).unwrap();
+            map.rotate().unwrap();
+        };
+        let give_up: Change = |map, name| {
+            let id = ExperienceId(u32::from(name == "aaa"));
+            let mut batch = Batch::default();
+            batch.add(THINNED, format::encode(&ThinnedRecord::new(&[id]))).unwrap();
+            map.write(&batch).unwrap();
+        };
+        for change in [name, name_then_the_same, name_at_the_end_of_a_segment, give_up] {
+            let [one, other] = ["aaa", "bbb"].map(|name| {
+                let folder = map_of(0..5);
+                let mut map = PlaceMap::open(folder.path(), UNSYNCED).unwrap();
+                change(&mut map, name);
+                map.close().unwrap();
+                folder
+            });
+            fs::copy(one.path().join(snapshot::NAME), other.path().join(snapshot::NAME)).unwrap();
+            let said = fault(other.path());
+            assert!(said.contains("it says otherwise of "), "{said}");
+        }
+    }
+
+    #[test]
+    fn a_snapshot_that_cannot_be_read_keeps_no_map_from_opening() {
+        let map = map_of(0..5);
+        let path = map.path().join(snapshot::NAME);
+        let mut newer = fs::read(&path).unwrap();
+        newer[8] += 1;
+        fs::write(&path, newer).unwrap();
+        assert!(fault(map.path()).ends_with("reads up to 1: update Loci"));
+        fs::create_dir(&path).unwrap();
+        let read = PlaceMap::open_read_only(map.path()).unwrap();
+        assert!(read.snapshot_fault().unwrap().to_string().contains("snapshot.loci: "));
+        assert_eq!(read.places().len(), 5);
     }
 
     #[test]
     fn damage_before_the_position_of_the_snapshot_keeps_no_map_from_opening_and_costs_nothing_else() {
         let map = map_of(0..5);
         let mut grown = PlaceMap::open(map.path(), UNSYNCED).unwrap();
-        grown.name_place(crate::place_map::PlaceId(1), "hall").unwrap();
+        grown.name_place(PlaceId(1), "hall").unwrap();
         grown.close().unwrap();
         let before = knowledge(&grown);
         drop(grown);

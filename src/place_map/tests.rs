@@ -148,7 +148,7 @@ fn a_map_that_outgrew_many_segments_is_the_same_with_and_without_its_snapshot() 
     let map = reopened(folder.path());
     assert_eq!(knowledge(&map), before);
     assert!(
-        map.snapshot_fault().unwrap().to_string().contains("snapshot.loci is damaged: "),
+        map.snapshot_fault().unwrap().to_string().contains("snapshot.loci is of no use to this journal: "),
         "{:?}",
         map.snapshot_fault()
     );

@@ -89,6 +89,17 @@ pub enum StorageError {
         /// The file.
         path: PathBuf,
     },
+    /// The journal may have lost what had been on the medium when its snapshot was taken.
+    #[error(
+        "{} knows more than the journal beside it: {reason}; delete it to go on with what the journal has",
+        path.display()
+    )]
+    Ahead {
+        /// The snapshot.
+        path: PathBuf,
+        /// What is missing.
+        reason: String,
+    },
     /// The snapshot is damaged, or not of the journal beside it, which is enough without.
     #[error("{} is of no use to this journal: {reason}; the next run that learns replaces it", path.display())]
     Useless {

@@ -103,6 +103,7 @@ impl RecordLog {
         if !log.is_torn_at_birth(kind, length)? {
             log.check_header(kind)?;
             recovery = log.replay(length, tail, reading)?;
+            log.shared.end.store(length - recovery.torn_bytes, Ordering::Release);
         } else if tail == Tail::Sealed {
             return Err(log.damaged(0));
         }
@@ -162,6 +163,14 @@ impl RecordLog {
             Some(header) => Ok((header.envelope, payload)),
             None => Err(self.damaged(offset)),
         }
+    }
+
+    /// Hands the records before byte `until`, within the log, to `reading` once more.
+    ///
+    /// # Errors
+    /// If one of them that is wanted is bad, none ends there, or the medium fails.
+    pub fn reread(&self, until: u64, reading: Reading<'_>) -> Result<Recovery, StorageError> {
+        self.replay(until, Tail::Sealed, reading)
     }
 
     /// Returns when every appended record would survive a power cut.
@@ -265,7 +274,6 @@ impl RecordLog {
             recovery.records += 1;
             offset += length_bytes;
         }
-        self.shared.end.store(offset, Ordering::Release);
         Ok(recovery)
     }
 
