@@ -171,6 +171,11 @@ impl Journal {
         self.segments.values().map(Segment::length_bytes).sum()
     }
 
+    /// Bytes of the longest segment.
+    pub(super) fn longest_bytes(&self) -> u64 {
+        self.segments.values().map(Segment::length_bytes).max().unwrap_or(0)
+    }
+
     /// Deletes the oldest segment, once everything that was written is on the medium.
     pub(super) fn remove_oldest(&mut self) -> Result<(), StorageError> {
         self.sync()?;

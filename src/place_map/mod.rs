@@ -6,7 +6,8 @@
 //!
 //! Everything goes through the journal: the map in memory is what replaying it gives, whether a record was just
 //! written or read after a restart. `journal` keeps the segments, `recovery` reads them, `snapshot` saves reading
-//! them all, `thinning` says what to give up when the map is to stay within its budget.
+//! them all if `witness` finds that it is theirs, `thinning` says what to give up when the map is to stay within its
+//! budget.
 
 mod absorb;
 mod batch;

@@ -12,8 +12,8 @@ const SEGMENT_BYTES: (u64, u64) = (64 << 10, 64 << 20);
 const SEGMENTS: u64 = 32;
 /// Segments that a larger budget is parted into: each keeps a file open.
 const MOST_SEGMENTS: u64 = 200;
-/// The same of a map that is larger than its budget, or has none. Its segments grow along with it, so in the end
-/// there are more.
+/// The same of a map that is larger than its budget, or has none, or is written again. The segments grow along with it,
+/// so in the end there are more.
 const GROWING_SEGMENTS: u64 = 100;
 /// No offset may need more than 40 bits.
 const LONGEST_SEGMENT_BYTES: u64 = 1 << 39;
@@ -105,6 +105,12 @@ impl MapOptions {
         let usual = (self.disk_bytes / SEGMENTS).clamp(SEGMENT_BYTES.0, SEGMENT_BYTES.1);
         let share = if self.disk_bytes == u64::MAX { 0 } else { self.disk_bytes / MOST_SEGMENTS };
         usual.max(share).max(journal_bytes / GROWING_SEGMENTS).min(LONGEST_SEGMENT_BYTES)
+    }
+
+    /// The same while what counts is written again: the next budget may have room to empty no longer ones.
+    pub(super) fn rewritten_segment_bytes(&self, journal_bytes: u64) -> u64 {
+        let most = (journal_bytes / GROWING_SEGMENTS).max(SEGMENT_BYTES.0);
+        self.segment_bytes(journal_bytes).min(most)
     }
 }
 

@@ -1,9 +1,10 @@
 //! Maps written, cut, reopened, thinned and rewritten.
 
 use std::fs;
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use super::*;
@@ -13,7 +14,7 @@ use crate::frame::Frame;
 use crate::geometry::Point;
 use crate::raster::{GreyImage, RgbImage};
 use crate::storage::faulty::FaultyFolder;
-use crate::storage::{DiskFolder, Folder, MemoryFolder};
+use crate::storage::{AppendFile, DiskFolder, Folder, MemoryFolder};
 
 /// A map so small that it is full of segments soon: 2 MiB, segments of 64 KiB.
 pub(super) const SMALL: MapOptions = MapOptions {
@@ -69,12 +70,21 @@ pub(super) fn learn(
     index: u64,
     is_keyframe: bool,
 ) -> Result<Learnt, MapError> {
+    learn_with(map, place, (index, is_keyframe), &[index as u8; 3000])
+}
+
+fn learn_with(
+    map: &mut PlaceMap,
+    place: Option<PlaceId>,
+    (index, is_keyframe): (u64, bool),
+    thumbnail_jpeg: &[u8],
+) -> Result<Learnt, MapError> {
     let (features, traits) = (features(index), traits(index));
     let new = NewExperience {
         frame: &frame(index),
         view: index.wrapping_mul(0x9e37_79b9_7f4a_7c15),
         mean_luminance: (index * 37 % 256) as f32,
-        thumbnail_jpeg: &[index as u8; 3000],
+        thumbnail_jpeg,
         keyframe: is_keyframe.then_some((&features, &traits)),
     };
     map.learn(place, &new)
@@ -471,6 +481,94 @@ fn a_map_stays_within_its_budget_for_ever_and_loses_no_place() {
     assert_eq!(knowledge(&PlaceMap::open_folder(folder.clone(), Some(SMALL), None).unwrap()), before);
     folder.remove("snapshot.loci").unwrap();
     assert_eq!(knowledge(&PlaceMap::open_folder(folder, Some(SMALL), None).unwrap()), before);
+}
+
+/// A folder in memory that knows how many bytes were in it at most: it only shrinks where a file is removed or replaced.
+#[derive(Default)]
+struct MeasuredFolder {
+    folder: MemoryFolder,
+    most_bytes: AtomicU64,
+}
+
+impl MeasuredFolder {
+    /// Most bytes since this was asked before.
+    fn take_most_bytes(&self) -> u64 {
+        self.measure().unwrap();
+        self.most_bytes.swap(0, Ordering::Relaxed)
+    }
+
+    fn measure(&self) -> io::Result<()> {
+        let lengths = self.names()?.into_iter().map(|name| self.folder.open(&name, false)?.length_bytes());
+        self.most_bytes.fetch_max(lengths.sum::<io::Result<u64>>()?, Ordering::Relaxed);
+        Ok(())
+    }
+}
+
+impl Folder for MeasuredFolder {
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    fn names(&self) -> io::Result<Vec<String>> {
+        self.folder.names()
+    }
+
+    fn open(&self, name: &str, writable: bool) -> io::Result<Arc<dyn AppendFile>> {
+        self.folder.open(name, writable)
+    }
+
+    fn rename(&self, from: &str, to: &str) -> io::Result<()> {
+        self.measure()?;
+        self.folder.rename(from, to)
+    }
+
+    fn remove(&self, name: &str) -> io::Result<()> {
+        self.measure()?;
+        self.folder.remove(name)
+    }
+
+    fn sync(&self) -> io::Result<()> {
+        self.folder.sync()
+    }
+}
+
+#[test]
+fn a_map_is_never_larger_than_its_budget_not_even_while_a_segment_is_emptied() {
+    for thumbnail_bytes in [300, 3_000, 12_000, 30_000] {
+        let folder = Arc::new(MeasuredFolder::default());
+        let mut map = PlaceMap::open_folder(folder.clone(), Some(SMALL), None).unwrap();
+        for index in 0..3000 {
+            let place = (index >= 30).then(|| PlaceId((index * 7 % 30) as u32));
+            learn_with(&mut map, place, (index, index % 5 == 0), &vec![1; thumbnail_bytes]).unwrap();
+        }
+        let most_bytes = folder.take_most_bytes();
+        assert!(most_bytes <= SMALL.disk_bytes, "{most_bytes} bytes with thumbnails of {thumbnail_bytes}");
+        assert!(map.journal.oldest_number() > 5, "no segment was emptied");
+    }
+}
+
+#[test]
+fn a_map_that_was_compacted_fits_a_budget_little_larger_than_it_is() {
+    let folder = Arc::new(MeasuredFolder::default());
+    let mut map = PlaceMap::open_folder(folder.clone(), Some(MapOptions::default()), None).unwrap();
+    for index in 0..900 {
+        let place = (index >= 30).then(|| PlaceId((index * 7 % 30) as u32));
+        learn(&mut map, place, index, index % 5 == 0).unwrap();
+    }
+    assert_eq!(map.journal.segment_count(), 1);
+    map.compact().unwrap();
+    let live_bytes = map.summary().live_bytes;
+    assert!(map.journal.longest_bytes() < live_bytes / 20);
+    drop(map);
+    let options = MapOptions { disk_bytes: live_bytes * 9 / 8, ..SMALL };
+    let mut map = PlaceMap::open_folder(folder.clone(), Some(options), None).unwrap();
+    folder.take_most_bytes();
+    for index in 900..4000 {
+        learn(&mut map, Some(PlaceId((index * 7 % 30) as u32)), index, index % 5 == 0).unwrap();
+    }
+    let most_bytes = folder.take_most_bytes();
+    assert!(most_bytes <= options.disk_bytes, "{most_bytes} of {}", options.disk_bytes);
+    assert!(map.experiences().count() > 100);
 }
 
 #[test]

@@ -14,12 +14,14 @@ use crate::storage::{LOG_HEADER_BYTES, StorageError};
 
 /// Share of the budget that records may take which count.
 const LIVE_SHARE: f64 = 0.7;
-/// Bytes that are written again with every new experience while a segment is being emptied.
+/// Most bytes that are written again with every new experience while a segment is being emptied at leisure.
 const CLEANING_BYTES: u64 = 256 << 10;
 /// Experiences that are given up with every new one while there are too many.
 const GIVEN_UP_AT_ONCE: usize = 4;
-/// Segments that are to stay free: one that grows, and one that takes what another one still held.
+/// Segments that are to stay free: one that grows, one that takes what another one still held, and one to spare.
 const FREE_SEGMENTS: u64 = 3;
+/// Segments that must stay free, or the next one to be emptied might overfill the folder.
+const LEAST_FREE_SEGMENTS: u64 = 2;
 
 /// What is under way, and how large the snapshot is.
 pub(super) struct Upkeep {
@@ -84,13 +86,9 @@ impl PlaceMap {
     /// If the map is full or the medium fails.
     pub(super) fn make_room(&mut self, bytes: u64) -> Result<Vec<ExperienceId>, MapError> {
         let budget_bytes = self.options.disk_bytes;
-        let free_bytes = FREE_SEGMENTS * self.segment_bytes();
         let mut given_up = Vec::new();
         self.give_up(GIVEN_UP_AT_ONCE, &mut given_up)?;
-        let is_nearly_full = self.folder_bytes().saturating_add(free_bytes) > budget_bytes;
-        if is_nearly_full && (self.upkeep.cleaning.is_some() || self.dead_bytes() >= self.segment_bytes()) {
-            self.clean(CLEANING_BYTES)?;
-        }
+        self.clean_in_time(bytes)?;
         let excess_bytes = |map: &Self| map.folder_bytes().saturating_add(bytes).saturating_sub(budget_bytes);
         if excess_bytes(self) > 0 {
             // The map was larger before it got this budget: what else comes little by little comes at once.
@@ -108,6 +106,27 @@ impl PlaceMap {
             return Err(MapError::Full { places, bytes: self.contents.live_bytes, budget_bytes });
         }
         Ok(given_up)
+    }
+
+    /// Writes a little of the oldest segment again where free segments get few beside `bytes` more, and as much as it
+    /// takes where they are about to run out: most of the oldest segments may count to the last byte.
+    fn clean_in_time(&mut self, bytes: u64) -> Result<(), MapError> {
+        let is_worth_it =
+            |map: &Self| map.upkeep.cleaning.is_some() || map.dead_bytes() >= map.segment_bytes();
+        let is_short_of = |map: &Self, segments: u64| {
+            let free_bytes = segments * map.segment_bytes().max(map.journal.longest_bytes());
+            map.folder_bytes().saturating_add(bytes).saturating_add(free_bytes) > map.options.disk_bytes
+        };
+        if is_short_of(self, FREE_SEGMENTS) && is_worth_it(self) {
+            self.clean(CLEANING_BYTES.min(self.segment_bytes()))?;
+        }
+        for _ in 0..self.journal.segment_count() {
+            if !is_short_of(self, LEAST_FREE_SEGMENTS) || !is_worth_it(self) {
+                break;
+            }
+            self.clean(u64::MAX)?;
+        }
+        Ok(())
     }
 
     /// Gives up what tells least, as much as is too much but at most `count` experiences; the keyframes among them
@@ -151,7 +170,7 @@ impl PlaceMap {
                 return Ok(());
             };
             written += self.write_again(fact, segment)?;
-            if self.journal.end().offset >= self.segment_bytes() {
+            if self.journal.end().offset >= self.options.rewritten_segment_bytes(self.journal.total_bytes()) {
                 self.rotate()?;
             }
         }
