@@ -37,11 +37,13 @@ pub enum MapError {
     },
     /// What had to be written again, so that the rest could be kept within the budget, could not be read.
     #[error(
-        "the map gave up what cannot be read (experiences: {experiences}, thumbnails: {thumbnails}): {first}"
+        "the map gave up what cannot be read (experiences: {experiences}, keyframes: {keyframes}, thumbnails: {thumbnails}): {first}"
     )]
     GaveUp {
         /// Experiences that were given up.
         experiences: usize,
+        /// Keyframes that were kept as experiences by which nothing is recognised.
+        keyframes: usize,
         /// Thumbnails without which experiences were kept.
         thumbnails: usize,
         /// What was wrong with the first.

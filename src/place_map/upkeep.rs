@@ -5,11 +5,10 @@
 //! experience, until the segment can be deleted.
 
 use super::batch::Batch;
-use super::contents::{Fact, Location};
-use super::format::{self, ExperienceRecord, FeaturesRecord, PLACE, THINNED, ThinnedRecord};
+use super::contents::Fact;
+use super::format::{self, FeaturesRecord, PLACE, THINNED, ThinnedRecord};
 use super::map::PlaceMap;
 use super::{ExperienceId, MapError, snapshot, thinning};
-use crate::feature::Features;
 use crate::storage::{LOG_HEADER_BYTES, StorageError};
 
 /// Share of the budget that records may take which count.
@@ -37,8 +36,15 @@ pub(super) struct Upkeep {
 /// What could not be read when it was to be written again.
 struct Loss {
     experiences: usize,
+    keyframes: usize,
     thumbnails: usize,
     first: StorageError,
+}
+
+impl Loss {
+    fn new(first: StorageError) -> Self {
+        Self { experiences: 0, keyframes: 0, thumbnails: 0, first }
+    }
 }
 
 impl Upkeep {
@@ -46,10 +52,9 @@ impl Upkeep {
         Self { cleaning: None, snapshot_bytes, loss: None, lost_keyframes: Vec::new() }
     }
 
-    fn note_loss(&mut self, (experiences, thumbnails): (usize, usize), damage: StorageError) {
-        let loss = self.loss.get_or_insert(Loss { experiences: 0, thumbnails: 0, first: damage });
-        loss.experiences += experiences;
-        loss.thumbnails += thumbnails;
+    /// What was lost for the time being, `damage` among it.
+    fn loss(&mut self, damage: StorageError) -> &mut Loss {
+        self.loss.get_or_insert_with(|| Loss::new(damage))
     }
 
     pub(super) fn snapshot_bytes(&self) -> u64 {
@@ -76,8 +81,8 @@ impl PlaceMap {
 
     /// What the map gave up since it could not be read any more, once.
     pub fn take_loss(&mut self) -> Option<MapError> {
-        let Loss { experiences, thumbnails, first } = self.upkeep.loss.take()?;
-        Some(MapError::GaveUp { experiences, thumbnails, first })
+        let Loss { experiences, keyframes, thumbnails, first } = self.upkeep.loss.take()?;
+        Some(MapError::GaveUp { experiences, keyframes, thumbnails, first })
     }
 
     /// Makes room for `bytes` more, and answers which keyframes were given up for it.
@@ -203,35 +208,34 @@ impl PlaceMap {
     /// Adds the records of an experience, without what is damaged of them.
     fn add_again(&mut self, id: ExperienceId, batch: &mut Batch) -> Result<(), MapError> {
         let location = self.location(id)?;
-        let (record, features) = match self.parts(id, location) {
+        let mut record = match self.journal.experience(location) {
             Err(damage) if damage.is_damage() => {
                 self.upkeep.lost_keyframes.extend(self.is_keyframe(id).then_some(id));
-                self.upkeep.note_loss((1, 0), damage);
+                self.upkeep.loss(damage).experiences += 1;
                 return batch.add(THINNED, format::encode(&ThinnedRecord::new(&[id])));
             }
-            parts => parts?,
+            record => record?,
+        };
+        // A record of version 1 does not know its number.
+        record.experience = id.0;
+        let features = match record.keyframe.is_some().then(|| self.journal.features(location)).transpose() {
+            Err(damage) if damage.is_damage() => {
+                self.upkeep.lost_keyframes.push(id);
+                self.upkeep.loss(damage).keyframes += 1;
+                record.keyframe = None;
+                None
+            }
+            features => features?,
         };
         let thumbnail_jpeg = match self.journal.thumbnail(location) {
             Err(damage) if damage.is_damage() => {
-                self.upkeep.note_loss((0, 1), damage);
+                self.upkeep.loss(damage).thumbnails += 1;
                 Vec::new()
             }
             thumbnail => thumbnail?,
         };
         let features = features.map(|features| format::encode(&FeaturesRecord::from(&features))).transpose();
         batch.add_parts(record, features.map_err(|reason| MapError::Unstorable { reason })?, thumbnail_jpeg)
-    }
-
-    fn parts(
-        &self,
-        id: ExperienceId,
-        location: Location,
-    ) -> Result<(ExperienceRecord, Option<Features>), StorageError> {
-        let mut record = self.journal.experience(location)?;
-        // A record of version 1 does not know its number.
-        record.experience = id.0;
-        let features = record.keyframe.is_some().then(|| self.journal.features(location)).transpose()?;
-        Ok((record, features))
     }
 
     /// Goes on in a new segment, and takes a snapshot of everything before it.
@@ -320,13 +324,16 @@ mod tests {
         map.compact().unwrap();
         let said = map.take_loss().unwrap().to_string();
         assert!(
-            said.contains("(experiences: 2, thumbnails: 1): ") && said.contains(&segment_name(1)),
+            said.contains("(experiences: 1, keyframes: 1, thumbnails: 1): ")
+                && said.contains(&segment_name(1)),
             "{said}"
         );
         assert!(map.take_loss().is_none());
         assert_eq!(map.places().len(), 40);
         let left: Vec<u32> = map.experiences().map(|experience| experience.id.0).collect();
-        assert_eq!(left, (0..40).filter(|id| ![1, 5].contains(id)).collect::<Vec<_>>());
+        assert_eq!(left, (0..40).filter(|&id| id != 1).collect::<Vec<_>>());
+        assert!(!map.experience(ExperienceId(5)).unwrap().is_keyframe);
+        assert_eq!(map.thumbnail_jpeg(ExperienceId(5)).unwrap(), [5; 3000]);
         assert!(map.thumbnail_jpeg(ExperienceId(3)).unwrap().is_empty());
         assert!(map.features(ExperienceId(3)).is_ok());
         let before = knowledge(&map);
@@ -350,7 +357,7 @@ mod tests {
         assert!(!folder.path().join(segment_name(1)).exists());
         assert!(!losses.is_empty());
         for lost in [1, 5].map(ExperienceId) {
-            assert!(given_up.contains(&lost) && map.experience(lost).is_none());
+            assert!(given_up.contains(&lost) && map.experience(lost).is_none_or(|e| !e.is_keyframe));
         }
     }
 
