@@ -15,6 +15,8 @@ use crate::storage::{LOG_HEADER_BYTES, StorageError};
 const LIVE_SHARE: f64 = 0.7;
 /// Most bytes that are written again with every new experience while a segment is being emptied at leisure.
 const CLEANING_BYTES: u64 = 256 << 10;
+/// Most of them where the folder is about to be too large: so many take no frame long.
+const HURRIED_CLEANING_BYTES: u64 = 4 << 20;
 /// Experiences that are given up with every new one while there are too many.
 const GIVEN_UP_AT_ONCE: usize = 4;
 /// Segments that are to stay free: one that grows, one that takes what another one still held, and one to spare.
@@ -113,8 +115,8 @@ impl PlaceMap {
         Ok(given_up)
     }
 
-    /// Writes a little of the oldest segment again where free segments get few beside `bytes` more, and as much as it
-    /// takes where they are about to run out: most of the oldest segments may count to the last byte.
+    /// Writes a little of the oldest segment again where free segments get few beside `bytes` more, and much where they
+    /// are about to run out: most of the oldest segments may count to the last byte.
     fn clean_in_time(&mut self, bytes: u64) -> Result<(), MapError> {
         let is_worth_it =
             |map: &Self| map.upkeep.cleaning.is_some() || map.dead_bytes() >= map.segment_bytes();
@@ -125,11 +127,9 @@ impl PlaceMap {
         if is_short_of(self, FREE_SEGMENTS) && is_worth_it(self) {
             self.clean(CLEANING_BYTES.min(self.segment_bytes()))?;
         }
-        for _ in 0..self.journal.segment_count() {
-            if !is_short_of(self, LEAST_FREE_SEGMENTS) || !is_worth_it(self) {
-                break;
-            }
-            self.clean(u64::MAX)?;
+        let mut left_bytes = HURRIED_CLEANING_BYTES;
+        while left_bytes > 0 && is_short_of(self, LEAST_FREE_SEGMENTS) && is_worth_it(self) {
+            left_bytes = left_bytes.saturating_sub(self.clean(left_bytes)?.max(1));
         }
         Ok(())
     }
@@ -151,8 +151,9 @@ impl PlaceMap {
         Ok(())
     }
 
-    /// Writes up to `bytes` of what still counts in the oldest segment again, and deletes it once nothing does.
-    fn clean(&mut self, bytes: u64) -> Result<(), MapError> {
+    /// Writes up to `bytes` of what still counts in the oldest segment again, and deletes it once nothing does; answers
+    /// how many bytes were written.
+    fn clean(&mut self, bytes: u64) -> Result<u64, MapError> {
         self.guarded(|map| {
             if map.journal.oldest_number() == map.journal.active_number() {
                 map.rotate()?;
@@ -161,7 +162,7 @@ impl PlaceMap {
         })
     }
 
-    fn empty_oldest(&mut self, bytes: u64) -> Result<(), MapError> {
+    fn empty_oldest(&mut self, bytes: u64) -> Result<u64, MapError> {
         let oldest = self.journal.oldest_number();
         let (segment, mut facts) = self.upkeep.cleaning.take().unwrap_or_else(|| {
             let mut facts = self.contents.facts_in(oldest);
@@ -172,7 +173,7 @@ impl PlaceMap {
         while written < bytes {
             let Some(fact) = facts.pop() else {
                 self.journal.remove_oldest()?;
-                return Ok(());
+                return Ok(written);
             };
             written += self.write_again(fact, segment)?;
             if self.journal.end().offset >= self.options.rewritten_segment_bytes(self.journal.total_bytes()) {
@@ -180,7 +181,7 @@ impl PlaceMap {
             }
         }
         self.upkeep.cleaning = Some((segment, facts));
-        Ok(())
+        Ok(written)
     }
 
     /// Writes `fact` at the end of the journal if its record is still in `segment`; answers how many bytes it took.
