@@ -221,6 +221,33 @@ pub(super) enum Fact {
     Experience(ExperienceId),
 }
 
+impl Contents {
+    /// What a snapshot says otherwise than these contents of its journal.
+    pub(super) fn difference(&self, snapshot: &Self) -> Option<String> {
+        let mut experiences = self.experiences.keys().chain(snapshot.experiences.keys());
+        let is_same = |id| match (self.experiences.get(id), snapshot.experiences.get(id)) {
+            (Some(one), Some(other)) => is_equal(one, other),
+            _ => false,
+        };
+        if let Some(experience) = experiences.find(|id| !is_same(id)) {
+            return Some(format!("it says otherwise of experience {} than the journal", experience.0));
+        }
+        let mut places = self.places.keys().chain(snapshot.places.keys());
+        if let Some(place) = places.find(|id| self.places.get(id) != snapshot.places.get(id)) {
+            return Some(format!("it says otherwise of place {} than the journal", place.0));
+        }
+        (snapshot.next_experience < self.next_experience)
+            .then(|| "it counts fewer experiences than the journal".to_owned())
+    }
+}
+
+/// Whether two experiences are equal to the bit: a stored number may be NaN.
+fn is_equal(one: &Experience, other: &Experience) -> bool {
+    let light = |experience: &Experience| experience.mean_luminance.map(f32::to_bits);
+    let rest = |experience: &Experience| Experience { mean_luminance: None, ..*experience };
+    light(one) == light(other) && rest(one) == rest(other)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

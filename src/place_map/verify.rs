@@ -1,20 +1,21 @@
 //! Everything that a map's files say, read to the last byte: checksums, contents, and the snapshot against what the
 //! journal gives without it.
 //!
-//! Opening a map is stricter and quicker: it stops at the first damage, and leaves out what it need not read.
+//! Opening a map is stricter and quicker: it stops at the first damage, and leaves out what it need not read. Whether it
+//! can do with what is wrong, only opening the map tells.
 
 use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::MapError;
 use super::contents::{Contents, Location, MAX_SEGMENT};
 use super::inspection::{Flaw, Inspected, Said, inspect};
 use super::journal::{Position, segment_name, segment_numbers};
 use super::map::PlaceMap;
 use super::opening::READER_ATTEMPTS;
 use super::snapshot::{self, Snapshot};
-use super::{Experience, MapError};
 use crate::storage::{AppendFile, DiskFolder, Folder, LOG_HEADER_BYTES, StorageError};
 
 /// Problems that are listed; more are only counted.
@@ -31,10 +32,14 @@ pub struct Verification {
     pub bytes: u64,
     /// What is to be said of the snapshot.
     pub snapshot: SnapshotState,
-    /// What is wrong, in the order of the files; at most a thousand problems.
+    /// What is wrong with it and what helps, if it is [useless](SnapshotState::Useless) or [wrong](SnapshotState::Wrong).
+    pub snapshot_fault: Option<String>,
+    /// What is wrong with the journal, in the order of the files; at most a thousand problems.
     pub problems: Vec<Problem>,
     /// Number of problems beyond those.
     pub further_problems: u64,
+    /// Why the map cannot be opened, if it cannot.
+    pub refusal: Option<String>,
 }
 
 /// What is to be said of a map's snapshot.
@@ -45,7 +50,9 @@ pub enum SnapshotState {
     Missing,
     /// The map is the same with it and without it.
     Right,
-    /// It cannot be read, or says something else than the journal.
+    /// It cannot be read or is not of this journal: the map opens without it.
+    Useless,
+    /// The map opens with it, and is another one without it.
     Wrong,
     /// The journal is damaged, so there is nothing to compare it with.
     NotCompared,
@@ -75,7 +82,7 @@ impl fmt::Display for Problem {
 }
 
 impl Verification {
-    /// Whether more is wrong than a torn tail.
+    /// Whether more is wrong with the journal than a torn tail.
     #[must_use]
     pub fn is_damaged(&self) -> bool {
         self.further_problems > 0 || self.problems.iter().any(|problem| !problem.is_torn_tail)
@@ -100,7 +107,7 @@ impl PlaceMap {
     /// many of how many bytes were read.
     ///
     /// # Errors
-    /// If there is no map, or its folder cannot be read.
+    /// If there is no map, or the system does not let its files be read.
     pub fn verify(folder: &Path, progress: &dyn Fn(u64, u64)) -> Result<Verification, MapError> {
         if !folder.is_dir() {
             return Err(MapError::Missing { path: folder.to_owned() });
@@ -122,6 +129,16 @@ struct OpenSegment {
     path: PathBuf,
     file: Arc<dyn AppendFile>,
     length_bytes: u64,
+}
+
+/// What may be wrong with the snapshot.
+enum Doubt {
+    /// It cannot be read: what is said of that.
+    Unreadable(String),
+    /// It speaks of a segment that is not there.
+    Missing(PathBuf),
+    /// It says something else than the journal.
+    Otherwise(String),
 }
 
 /// What a snapshot says, brought up to the end of the journal by what follows it there.
@@ -151,6 +168,7 @@ struct Verifier<'a> {
     /// What the journal alone gives.
     replayed: Contents,
     shortcut: Option<Shortcut>,
+    doubt: Option<Doubt>,
     /// A writer got in the way.
     was_disturbed: bool,
 }
@@ -163,10 +181,11 @@ impl<'a> Verifier<'a> {
             found: Verification::default(),
             replayed: Contents::default(),
             shortcut: None,
+            doubt: None,
             was_disturbed: false,
         };
         // First, so that the journal is at least as new.
-        verifier.read_snapshot();
+        verifier.read_snapshot()?;
         let segments = verifier.open_segments()?;
         let total_bytes = segments.iter().map(|segment| segment.length_bytes).sum();
         let mut read_bytes = 0;
@@ -181,10 +200,11 @@ impl<'a> Verifier<'a> {
         verifier.found.segments = segments.len();
         verifier.found.bytes += read_bytes;
         verifier.conclude(&segments);
+        verifier.open();
         Ok((verifier.found, verifier.was_disturbed))
     }
 
-    fn read_snapshot(&mut self) {
+    fn read_snapshot(&mut self) -> Result<(), StorageError> {
         match snapshot::read(self.folder) {
             Ok(None) => {}
             Ok(Some(Snapshot { position, contents, length_bytes })) => {
@@ -192,18 +212,23 @@ impl<'a> Verifier<'a> {
                 self.found.snapshot = SnapshotState::NotCompared;
                 self.shortcut = Some(Shortcut { position, is_anchored: false, contents });
             }
-            Err(error) => {
-                let reason = format!("{}; delete it, the map needs the journal alone", reason_of(error));
-                self.blame_snapshot(reason);
+            Err(error @ StorageError::Io { .. }) => return Err(error),
+            Err(StorageError::Damaged { path, reason }) => {
+                let useless = StorageError::Useless { path, reason };
+                self.doubt = Some(Doubt::Unreadable(useless.to_string()));
             }
+            Err(error) => self.doubt = Some(Doubt::Unreadable(error.to_string())),
         }
+        Ok(())
     }
 
     /// Opens all segments at once: a writer may delete them meanwhile.
     fn open_segments(&mut self) -> Result<Vec<OpenSegment>, MapError> {
         let numbers = segment_numbers(self.folder)?;
         if numbers.is_empty() {
-            return Err(MapError::Missing { path: self.folder.path().to_owned() });
+            let missing = || MapError::Missing { path: self.folder.path().to_owned() };
+            // Where there is a snapshot still, the journal is gone.
+            return Err(PlaceMap::open_read_only(self.folder.path()).err().unwrap_or_else(missing));
         }
         for pair in numbers.windows(2).filter(|pair| pair[1] - pair[0] > 1) {
             let reason = match pair[1] - pair[0] - 1 {
@@ -223,10 +248,11 @@ impl<'a> Verifier<'a> {
             let opened = self.folder.open(&segment_name(number), false);
             match opened.and_then(|file| file.length_bytes().map(|length_bytes| (file, length_bytes))) {
                 Ok((file, length_bytes)) => segments.push(OpenSegment { number, path, file, length_bytes }),
-                Err(error) => {
-                    self.was_disturbed |= error.kind() == io::ErrorKind::NotFound;
-                    self.found.add_damage(path, None, format!("it cannot be opened: {error}"));
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                    self.was_disturbed = true;
+                    self.found.add_damage(path, None, "the segment is missing");
                 }
+                Err(error) => return Err(StorageError::io("open", &path)(error).into()),
             }
         }
         Ok(segments)
@@ -298,55 +324,53 @@ impl<'a> Verifier<'a> {
         if let Some(number) =
             missing.or((!is_past && !is_there(&position.segment)).then_some(position.segment))
         {
-            let reason = "the segment is missing, the snapshot speaks of it";
-            self.found.add_damage(self.path_of(number), None, reason);
+            self.doubt = Some(Doubt::Missing(self.path_of(number)));
         } else if self.found.is_damaged() {
             // With what remains of the journal, any snapshot would differ.
         } else if !is_past && !is_anchored {
             let Position { segment, offset } = position;
             let name = segment_name(segment);
-            self.blame_snapshot(format!("it was taken at byte {offset} of {name}, where no record begins"));
+            let reason = format!("it was taken at byte {offset} of {name}, where no record begins");
+            self.doubt = Some(Doubt::Otherwise(reason));
         } else {
-            match contents.settle().err().or_else(|| difference(&self.replayed, &contents)) {
-                Some(reason) => self.blame_snapshot(reason),
-                None => self.found.snapshot = SnapshotState::Right,
+            self.doubt =
+                contents.settle().err().or_else(|| self.replayed.difference(&contents)).map(Doubt::Otherwise);
+            if self.doubt.is_none() {
+                self.found.snapshot = SnapshotState::Right;
             }
         }
     }
 
-    fn blame_snapshot(&mut self, reason: String) {
-        self.found.snapshot = SnapshotState::Wrong;
-        self.found.add_damage(self.folder.path().join(snapshot::NAME), None, reason);
+    /// Opens the map if anything is wrong: so what is said of it is what everybody hears who opens it.
+    fn open(&mut self) {
+        if self.doubt.is_none() && !self.found.is_damaged() {
+            return;
+        }
+        let opened = PlaceMap::open_read_only(self.folder.path());
+        let fault = opened.as_ref().ok().and_then(PlaceMap::snapshot_fault).map(ToString::to_string);
+        self.found.refusal = opened.err().map(|error| error.to_string());
+        let said = match (self.doubt.take(), fault) {
+            (_, Some(fault)) | (Some(Doubt::Unreadable(fault)), None) => (SnapshotState::Useless, fault),
+            (Some(Doubt::Otherwise(reason)), None) => {
+                let path = self.folder.path().join(snapshot::NAME);
+                let fault = format!("{}: {reason}; delete it, the journal has everything", path.display());
+                (SnapshotState::Wrong, fault)
+            }
+            (Some(Doubt::Missing(segment)), None) => {
+                return self.found.add_damage(
+                    segment,
+                    None,
+                    "the segment is missing, the snapshot speaks of it",
+                );
+            }
+            (None, None) => return,
+        };
+        (self.found.snapshot, self.found.snapshot_fault) = (said.0, Some(said.1));
     }
 
     fn path_of(&self, number: u32) -> PathBuf {
         self.folder.path().join(segment_name(number))
     }
-}
-
-/// What a snapshot says otherwise than the journal.
-fn difference(journal: &Contents, snapshot: &Contents) -> Option<String> {
-    let mut experiences = journal.experiences.keys().chain(snapshot.experiences.keys());
-    let is_same = |id| match (journal.experiences.get(id), snapshot.experiences.get(id)) {
-        (Some(one), Some(other)) => is_equal(one, other),
-        _ => false,
-    };
-    if let Some(experience) = experiences.find(|id| !is_same(id)) {
-        return Some(format!("it says otherwise of experience {} than the journal", experience.0));
-    }
-    let mut places = journal.places.keys().chain(snapshot.places.keys());
-    if let Some(place) = places.find(|id| journal.places.get(id) != snapshot.places.get(id)) {
-        return Some(format!("it says otherwise of place {} than the journal", place.0));
-    }
-    (snapshot.next_experience < journal.next_experience)
-        .then(|| "it counts fewer experiences than the journal".to_owned())
-}
-
-/// Whether two experiences are equal to the bit: a stored number may be NaN.
-fn is_equal(one: &Experience, other: &Experience) -> bool {
-    let light = |experience: &Experience| experience.mean_luminance.map(f32::to_bits);
-    let rest = |experience: &Experience| Experience { mean_luminance: None, ..*experience };
-    light(one) == light(other) && rest(one) == rest(other)
 }
 
 /// What is wrong, without the file's name, which stands before it.
@@ -488,8 +512,11 @@ mod tests {
                 flipped[position] ^= 1;
                 fs::write(&path, flipped).unwrap();
                 let found = verified(copy.path());
-                assert!(!found.problems.is_empty(), "byte {position} of {name}, version {version}");
-                assert!(version == 1 || found.is_damaged(), "byte {position} of {name}: {found:?}");
+                let is_noticed = match name {
+                    snapshot::NAME => found.snapshot_fault.is_some(),
+                    _ => found.is_damaged() || version == 1 && !found.problems.is_empty(),
+                };
+                assert!(is_noticed, "byte {position} of {name}, version {version}: {found:?}");
             }
         }
     }
@@ -507,7 +534,8 @@ mod tests {
         let found = verified(map.path());
         let count = |path: &Path| found.problems.iter().filter(|problem| problem.path == path).count();
         assert!(count(&segment(1)) >= 2, "{:?}", found.problems);
-        assert_eq!((count(&segment(2)), count(&map.path().join(snapshot::NAME))), (1, 1));
+        assert_eq!((count(&segment(2)), found.snapshot), (1, SnapshotState::Useless));
+        assert!(found.refusal.unwrap().ends_with("restore it from a copy"));
         assert!(count(&segment(3)) >= 1 && found.records > 50, "{found:?}");
     }
 
@@ -532,15 +560,26 @@ mod tests {
     }
 
     #[test]
-    fn a_snapshot_that_says_otherwise_than_the_journal_is_wrong() {
+    fn of_a_snapshot_that_says_otherwise_is_said_what_opening_the_map_makes_of_it() {
         let (map, _) = map_of_all_kinds();
         let folder = DiskFolder::new(map.path());
         let Snapshot { position, contents, .. } = snapshot::read(&folder).unwrap().unwrap();
         let said = |position, contents: &Contents| {
             snapshot::write(&folder, position, contents).unwrap();
             let found = verified(map.path());
-            assert_eq!(found.snapshot, SnapshotState::Wrong);
-            found.problems.into_iter().map(|problem| problem.to_string()).collect::<Vec<_>>().join("; ")
+            assert_eq!((&found.problems, &found.refusal), (&Vec::new(), &None));
+            let said = found.snapshot_fault.unwrap();
+            let opened = PlaceMap::open_read_only(map.path()).unwrap();
+            match opened.snapshot_fault() {
+                Some(fault) => {
+                    assert_eq!((found.snapshot, fault.to_string()), (SnapshotState::Useless, said.clone()));
+                }
+                None => {
+                    assert_eq!(found.snapshot, SnapshotState::Wrong);
+                    assert!(said.ends_with("; delete it, the journal has everything"), "{said}");
+                }
+            }
+            said
         };
         let mut other = contents.clone();
         let id = *other.experiences.keys().next().unwrap();
@@ -555,10 +594,7 @@ mod tests {
         let mut other = contents.clone();
         let place = contents.places[&PlaceId(0)].clone();
         other.put_place(place.record(), place.location, 1 << 30);
-        assert!(said(position, &other).contains("otherwise of place 0"));
-        let opened = PlaceMap::open_read_only(map.path()).unwrap();
-        let fault = opened.snapshot_fault().unwrap().to_string();
-        assert!(fault.contains("it speaks of more than there is"), "{fault}");
+        assert!(said(position, &other).contains("it speaks of more than there is"));
         let inside = Position { offset: position.offset - 1, ..position };
         assert!(said(inside, &contents).contains("no record begins"));
         snapshot::write(&folder, Position { segment: 9, ..position }, &contents).unwrap();

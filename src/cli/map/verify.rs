@@ -13,8 +13,8 @@ use crate::cli::console::{counted, progress_bar, say};
 /// Arguments of `loci map verify`.
 #[derive(Args)]
 #[command(after_help = "Examples:\n  loci map verify maps/site\n  loci map verify maps/site --json\n\n\
-    Exit codes: 0 sound, 3 sound up to a torn last record, 1 damaged. Nothing is changed;\n\
-    a run may write the map meanwhile.")]
+    Exit codes: 0 sound, also where only the snapshot is of no use; 3 sound up to a torn last record; 1 damaged. \
+    Nothing is changed; a run may write the map meanwhile.")]
 pub(in crate::cli) struct VerifyArguments {
     /// Folder of the map
     map: PathBuf,
@@ -29,6 +29,7 @@ struct Report {
     records: u64,
     bytes: u64,
     snapshot: &'static str,
+    snapshot_fault: Option<String>,
     damaged: bool,
     problems: Vec<ReportedProblem>,
     /// Problems beyond those that are listed.
@@ -58,7 +59,16 @@ pub(super) fn run(arguments: &VerifyArguments) -> anyhow::Result<Outcome> {
     }
     let map = arguments.map.display();
     let count = found.problems.len() as u64 + found.further_problems;
-    anyhow::ensure!(!found.is_damaged(), "{map} is damaged, problems found: {count}; restore it from a copy");
+    match (found.is_damaged(), found.refusal, found.snapshot_fault) {
+        (true, Some(refusal), _) => anyhow::bail!("{map} does not open, problems found: {count}; {refusal}"),
+        (true, None, _) => anyhow::bail!(
+            "{map} is damaged, problems found: {count}; `loci map compact` gives up what cannot be read"
+        ),
+        (false, _, Some(fault)) if found.snapshot == SnapshotState::Wrong => anyhow::bail!(fault),
+        (false, Some(refusal), _) => anyhow::bail!(refusal),
+        (false, None, Some(fault)) => eprintln!("loci: {fault}"),
+        (false, None, None) => {}
+    }
     if found.problems.is_empty() {
         return Ok(Outcome::Done);
     }
@@ -73,7 +83,8 @@ fn print(found: &Verification) -> anyhow::Result<()> {
     let snapshot = match found.snapshot {
         SnapshotState::Missing => "none; the journal has everything",
         SnapshotState::Right => "says the same as the journal",
-        SnapshotState::Wrong => "wrong",
+        SnapshotState::Useless => "not used; the journal has everything",
+        SnapshotState::Wrong => "says otherwise than the journal",
         SnapshotState::NotCompared => "not compared, for the journal is damaged",
     };
     say(&format!("snapshot  {snapshot}"))?;
@@ -100,9 +111,11 @@ fn report(found: &Verification) -> Report {
         snapshot: match found.snapshot {
             SnapshotState::Missing => "missing",
             SnapshotState::Right => "right",
+            SnapshotState::Useless => "useless",
             SnapshotState::Wrong => "wrong",
             SnapshotState::NotCompared => "not_compared",
         },
+        snapshot_fault: found.snapshot_fault.clone(),
         damaged: found.is_damaged(),
         problems: found.problems.iter().map(reported).collect(),
         further_problems: found.further_problems,
