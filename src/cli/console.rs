@@ -4,7 +4,6 @@ use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
-use anyhow::Context;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use loci::cnn::CnnError;
 use loci::pipeline::{RunSummary, Watcher};
@@ -19,7 +18,7 @@ use super::Outcome;
 pub(super) fn say(line: &str) -> anyhow::Result<()> {
     match writeln!(io::stdout(), "{line}") {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(error).context("cannot write to stdout")
+            Err(anyhow::anyhow!("cannot write to stdout: {error}"))
         }
         _ => Ok(()),
     }

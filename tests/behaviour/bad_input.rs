@@ -126,7 +126,7 @@ fn a_training_does_not_go_on_with_the_file_of_another_one() {
         loci::vocabulary::TrainingFile::open(&folder.path().join("v.lvoc.training"), "other photos").unwrap(),
     );
     train("synthetic:street?laps=1&frames=2")
-        .assert_failed(1, &["v.lvoc.training is what a training of other images left behind: delete it"]);
+        .assert_failed(1, &["v.lvoc.training is what a training of other images left behind: delete it\n"]);
     assert!(!out.exists());
 }
 
@@ -268,7 +268,7 @@ fn a_full_stdout_is_an_error_and_a_closed_one_is_none() {
         (output.status.code(), String::from_utf8(output.stderr).unwrap())
     };
     let (code, error) = info(fs::OpenOptions::new().write(true).open("/dev/full").unwrap().into());
-    assert!(code == Some(1) && error.starts_with("loci: cannot write to stdout"), "{error}");
+    assert!(code == Some(1) && error.starts_with("loci: cannot write to stdout: No space left"), "{error}");
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
     assert_eq!(info(writer.into()), (Some(0), String::new()));
