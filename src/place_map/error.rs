@@ -35,9 +35,10 @@ pub enum MapError {
         /// How many there were.
         count: u32,
     },
-    /// What had to be written again, so that the rest could be kept within the budget, could not be read.
+    /// What had to be written again, so that the rest could be kept, could not be read.
     #[error(
-        "the map gave up what cannot be read (experiences: {experiences}, keyframes: {keyframes}, thumbnails: {thumbnails}): {first}"
+        "given up, for it cannot be read (experiences: {experiences}, keyframes: {keyframes}, thumbnails: {thumbnails}): {}",
+        found(first)
     )]
     GaveUp {
         /// Experiences that were given up.
@@ -49,6 +50,12 @@ pub enum MapError {
         /// What was wrong with the first.
         first: StorageError,
     },
+    /// Keyframes could not be read; the others serve without them.
+    #[error(transparent)]
+    Unreadable(#[from] Unreadable),
+    /// Somebody wanted no more of it.
+    #[error("interrupted")]
+    Interrupted,
     /// The map was opened for reading.
     #[error("the map is read-only")]
     ReadOnly,
@@ -78,6 +85,34 @@ pub enum MapError {
         /// What does not fit.
         reason: String,
     },
+}
+
+/// Keyframes that cannot be read, so that nothing is recognised by them.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "keyframes left out, for they cannot be read: {keyframes} ({}); `loci map compact` gives them up",
+    found(first)
+)]
+pub struct Unreadable {
+    /// How many.
+    pub keyframes: usize,
+    /// What is wrong with the first.
+    pub first: StorageError,
+}
+
+impl Unreadable {
+    /// One keyframe more cannot be read.
+    pub(crate) fn note(noted: &mut Option<Self>, damage: StorageError) {
+        noted.get_or_insert(Self { keyframes: 0, first: damage }).keyframes += 1;
+    }
+}
+
+/// What is wrong, and where, without the fix that damage has where nothing can be given up.
+fn found(damage: &StorageError) -> String {
+    match damage {
+        StorageError::Damaged { path, reason } => format!("{}: {reason}", path.display()),
+        other => other.to_string(),
+    }
 }
 
 impl MapError {

@@ -34,7 +34,7 @@ mod verify;
 mod version_1;
 mod witness;
 
-pub use error::MapError;
+pub use error::{MapError, Unreadable};
 pub use map::{Learnt, NewExperience, PlaceMap};
 pub use options::{Durability, MapOptions};
 pub use reading::MapSummary;

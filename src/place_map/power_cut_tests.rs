@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use proptest::prelude::*;
@@ -192,7 +193,7 @@ fn take_step(
             map.syncer().sync();
             Ok(())
         }
-        Absorb => map.absorb(&other_map(index)).map(drop),
+        Absorb => map.absorb(&other_map(index), &AtomicBool::new(false)).map(drop),
         Close => map.close(),
         Compact => map.compact(),
         Reopen => Ok(()),

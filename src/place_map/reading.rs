@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use super::contents::Location;
 use super::format::{self, ExperienceRecord};
 use super::map::PlaceMap;
-use super::{Experience, ExperienceId, MapError, Origin, Place, PlaceId, Traits};
+use super::{Experience, ExperienceId, MapError, Origin, Place, PlaceId, Traits, Unreadable};
 use crate::feature::Features;
 
 /// Lists and name of a place, roughly.
@@ -88,16 +88,23 @@ impl PlaceMap {
         Ok(Traits { words: keyframe.unpacked_words(), appearance })
     }
 
-    /// Hashes of the models whose descriptors it holds, sorted.
+    /// Hashes of the models whose descriptors it holds, sorted, and which keyframes are damaged, so that theirs are not
+    /// known.
     ///
     /// # Errors
-    /// If a record cannot be read.
-    pub fn models(&self) -> Result<Vec<String>, MapError> {
-        let mut models = BTreeSet::new();
+    /// If the medium fails.
+    pub fn models(&self) -> Result<(Vec<String>, Option<Unreadable>), MapError> {
+        let (mut models, mut unreadable) = (BTreeSet::new(), None);
         for keyframe in self.experiences().filter(|experience| experience.is_keyframe) {
-            models.extend(self.traits(keyframe.id)?.appearance.map(|appearance| appearance.model));
+            match self.traits(keyframe.id) {
+                Ok(traits) => models.extend(traits.appearance.map(|appearance| appearance.model)),
+                Err(MapError::Storage(damage)) if damage.is_damage() => {
+                    Unreadable::note(&mut unreadable, damage);
+                }
+                Err(error) => return Err(error),
+            }
         }
-        Ok(models.into_iter().collect())
+        Ok((models.into_iter().collect(), unreadable))
     }
 
     /// The features of a keyframe.

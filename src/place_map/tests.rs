@@ -341,7 +341,8 @@ fn an_experience_too_many_is_refused_and_takes_no_other_ones_number() {
     let (mut other, mut again) = (PlaceMap::in_memory(SMALL).unwrap(), map);
     found(&mut other, 2);
     for map in [&mut again, &mut PlaceMap::open_folder(folder, Some(SMALL), None).unwrap()] {
-        let refusals = [learn(map, None, 3, true).map(drop), map.absorb(&other).map(drop)];
+        let refusals =
+            [learn(map, None, 3, true).map(drop), map.absorb(&other, &AtomicBool::new(false)).map(drop)];
         for refusal in refusals {
             let refusal = refusal.unwrap_err().to_string();
             assert!(
@@ -429,7 +430,7 @@ fn a_map_takes_in_another_one_under_new_numbers() {
     second.merge_places(PlaceId(0), PlaceId(2)).unwrap();
     learn(&mut second, Some(PlaceId(0)), 20, false).unwrap();
     let before = knowledge(&second);
-    assert_eq!(first.absorb(&second).unwrap(), PlaceId(3));
+    assert_eq!(first.absorb(&second, &AtomicBool::new(false)).unwrap().0, PlaceId(3));
     assert_eq!(knowledge(&second), before, "the other map stays as it is");
     assert_eq!((first.places().len(), first.experiences().count()), (6, 7));
     assert_eq!(first.place(PlaceId(3)).unwrap().id, PlaceId(5));

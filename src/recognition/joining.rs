@@ -20,6 +20,7 @@
 //! visits to show.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::candidate::{Candidate, Evidence};
 use super::identity::STRONG;
@@ -73,27 +74,43 @@ struct Findings {
 }
 
 impl Recogniser {
-    /// The places of `other` that are places of this map. Both must search all their places. Nothing is changed.
+    /// The places of `other` that are places of this map. Both must search all their places. Nothing is changed;
+    /// keyframes that are damaged are left out, which is a [failure of their map](Self::take_map_failure).
     ///
     /// # Errors
-    /// If a keyframe cannot be read.
-    pub fn joins(&mut self, other: &mut Self) -> Result<Vec<Join>, MapError> {
-        let there = self.look_up(&other.map)?;
-        let back = other.look_up(&self.map)?;
-        let failure = self.take_map_failure().or_else(|| other.take_map_failure());
+    /// If `stop` is set meanwhile, or the medium fails.
+    pub fn joins(&mut self, other: &mut Self, stop: &AtomicBool) -> Result<Vec<Join>, MapError> {
+        let there = self.look_up(other, stop)?;
+        let back = other.look_up(self, stop)?;
+        let failure = self.map_failure.take().or_else(|| other.map_failure.take());
         failure.map_or_else(|| Ok(joins_of(&there, &back)), Err)
     }
 
     /// What the keyframes of every place of `other` match in this map.
-    fn look_up(&mut self, other: &PlaceMap) -> Result<BTreeMap<PlaceId, Findings>, MapError> {
+    fn look_up(
+        &mut self,
+        other: &mut Self,
+        stop: &AtomicBool,
+    ) -> Result<BTreeMap<PlaceId, Findings>, MapError> {
         let mut found: BTreeMap<PlaceId, Findings> = BTreeMap::new();
-        for place in other.places().filter(|place| place.merged_into.is_none()) {
-            let findings = found.entry(place.id).or_default();
-            let is_keyframe = |id: &&ExperienceId| other.experience(**id).is_some_and(|e| e.is_keyframe);
-            for &keyframe in place.experiences.iter().filter(is_keyframe) {
-                let look = self.look_of(other, keyframe)?;
-                findings.keyframes += 1;
-                findings.matches.extend(self.best_match(&look));
+        let living = other.map.places().filter(|place| place.merged_into.is_none());
+        for place in living.map(|place| place.id).collect::<Vec<_>>() {
+            let findings = found.entry(place).or_default();
+            for keyframe in other.keyframes_of(place) {
+                if stop.load(Ordering::Relaxed) {
+                    return Err(MapError::Interrupted);
+                }
+                if other.working_set.is_left_out(keyframe) {
+                    continue;
+                }
+                match self.look_of(&other.map, keyframe) {
+                    Ok(look) => {
+                        findings.keyframes += 1;
+                        findings.matches.extend(self.best_match(&look));
+                    }
+                    Err(failure) if failure.is_damage() => other.leave_out(keyframe, failure),
+                    Err(failure) => return Err(failure),
+                }
             }
         }
         Ok(found)

@@ -117,7 +117,9 @@ impl Recogniser {
     /// Why the map could not be read or changed, or what it gave up since it is damaged; once. If it could not be
     /// changed, it is only read from then on: the robot goes on recognising.
     pub fn take_map_failure(&mut self) -> Option<MapError> {
-        self.map_failure.take().or_else(|| self.map.take_loss())
+        let failure = self.map_failure.take();
+        let failure = failure.or_else(|| self.working_set.take_unreadable().map(MapError::from));
+        failure.or_else(|| self.map.take_loss())
     }
 
     /// Recognises one frame: [`retrieve`](Self::retrieve), [`verify`](Self::verify) and
@@ -216,8 +218,7 @@ impl Recogniser {
             }
             Err(failure) => {
                 self.keyframes.remove(keyframe);
-                self.working_set.leave_out(keyframe);
-                self.map_failure.get_or_insert(failure);
+                self.leave_out(keyframe, failure);
                 Verification::default()
             }
         }
@@ -362,6 +363,7 @@ fn mark_outdone(candidates: &mut Candidates, chosen: &Candidate) {
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+    use std::sync::atomic::AtomicBool;
 
     use super::super::{Join, Support};
     use super::*;
@@ -725,14 +727,16 @@ mod tests {
         let mut other = Robot::new(None, no_interval(), map_of(0, 0, 20)).recogniser;
         let mut robot = Robot::without_cnn();
         let places = [5, 7, 0].map(|place| robot.see(place, 0).place.unwrap());
-        let joins = robot.recogniser.joins(&mut other).unwrap();
+        let stopped = robot.recogniser.joins(&mut other, &AtomicBool::new(true));
+        assert!(matches!(stopped, Err(MapError::Interrupted)));
+        let joins = robot.recogniser.joins(&mut other, &AtomicBool::new(false)).unwrap();
         let found = |joins: &[Join]| joins.iter().map(|join| (join.other, join.place)).collect::<Vec<_>>();
         assert_eq!(found(&joins), [(PlaceId(0), places[2]), (PlaceId(1), places[1])]);
         for Support { matched, keyframes, inliers, cosine } in joins.iter().flat_map(|j| [j.there, j.back]) {
             assert_eq!((matched, keyframes, cosine), (1, 1, None));
             assert!(inliers > 50, "{inliers}");
         }
-        let back = other.joins(&mut robot.recogniser).unwrap();
+        let back = other.joins(&mut robot.recogniser, &AtomicBool::new(false)).unwrap();
         assert_eq!(found(&back), [(places[1], PlaceId(1)), (places[2], PlaceId(0))]);
         assert_eq!(robot.recogniser.map().summary().experiences, 3, "nothing is changed");
     }
@@ -744,7 +748,7 @@ mod tests {
             robot.see(place, place as usize);
             other.see(10 + place, place as usize);
         }
-        assert_eq!(robot.recogniser.joins(&mut other.recogniser).unwrap(), []);
+        assert_eq!(robot.recogniser.joins(&mut other.recogniser, &AtomicBool::new(false)).unwrap(), []);
     }
 
     #[test]
@@ -807,7 +811,8 @@ mod tests {
                 said.extend(robot.recogniser.take_map_failure().map(|failure| failure.to_string()));
             }
             assert_eq!(said.len(), 1, "{said:?}");
-            assert!(said[0].contains("journal-000001.loci is damaged"), "{said:?}");
+            let part = "they cannot be read: 1 (";
+            assert!(said[0].contains(part) && said[0].contains("journal-000001.loci: bad"), "{said:?}");
         }
     }
 

@@ -9,7 +9,7 @@ use std::collections::{BTreeSet, HashMap};
 
 use super::keyframe_index::KeyframeIndex;
 use super::recogniser::Recogniser;
-use crate::place_map::{ExperienceId, MapError, PlaceId};
+use crate::place_map::{ExperienceId, MapError, PlaceId, Unreadable};
 
 /// Steps along the way within which a place that waits is fetched.
 const FETCHED_STEPS: usize = 3;
@@ -29,8 +29,10 @@ pub(super) struct WorkingSet {
     waiting: BTreeSet<PlaceId>,
     /// Where to look next when the robot is lost.
     next_searched: PlaceId,
-    /// Keyframes whose records are damaged: they are not asked again.
+    /// Keyframes that could not be read: they are not asked again.
     unreadable: BTreeSet<ExperienceId>,
+    /// Those of them that are damaged and of which nobody heard yet.
+    unheard: Option<Unreadable>,
 }
 
 impl Default for WorkingSet {
@@ -42,6 +44,7 @@ impl Default for WorkingSet {
             waiting: BTreeSet::new(),
             next_searched: PlaceId(0),
             unreadable: BTreeSet::new(),
+            unheard: None,
         }
     }
 }
@@ -56,9 +59,13 @@ impl WorkingSet {
         self.turns.len()
     }
 
-    /// From now on `keyframe` is not taken in any more.
-    pub(super) fn leave_out(&mut self, keyframe: ExperienceId) {
-        self.unreadable.insert(keyframe);
+    pub(super) fn is_left_out(&self, keyframe: ExperienceId) -> bool {
+        self.unreadable.contains(&keyframe)
+    }
+
+    /// The damaged keyframes that were left out since this was last asked.
+    pub(super) fn take_unreadable(&mut self) -> Option<Unreadable> {
+        self.unheard.take()
     }
 
     /// Puts `place` last in the order, as if it had just been seen.
@@ -199,19 +206,33 @@ impl Recogniser {
     fn take_in(&mut self, place: PlaceId) -> Result<(), MapError> {
         let mut waiting = self.keyframes_of(place);
         waiting.retain(|&keyframe| !self.keyframes.contains(keyframe));
-        waiting.retain(|keyframe| !self.working_set.unreadable.contains(keyframe));
+        waiting.retain(|&keyframe| !self.working_set.is_left_out(keyframe));
         waiting.into_iter().try_for_each(|keyframe| self.index_if_sound(keyframe))
     }
 
-    /// Makes a keyframe findable, unless its record is damaged: that is said once.
+    /// Makes a keyframe findable, unless its record is damaged.
     fn index_if_sound(&mut self, keyframe: ExperienceId) -> Result<(), MapError> {
         match self.index(keyframe) {
             Err(damage) if damage.is_damage() => {
-                self.working_set.leave_out(keyframe);
-                self.map_failure.get_or_insert(damage);
+                self.leave_out(keyframe, damage);
                 Ok(())
             }
             indexed => indexed,
+        }
+    }
+
+    /// From now on `keyframe`, which could not be read, is not taken in any more. Of those that are damaged is only
+    /// said how many they are.
+    pub(super) fn leave_out(&mut self, keyframe: ExperienceId, failure: MapError) {
+        let WorkingSet { unreadable, unheard, .. } = &mut self.working_set;
+        let is_news = unreadable.insert(keyframe);
+        match failure {
+            MapError::Storage(damage) if damage.is_damage() => {
+                if is_news {
+                    Unreadable::note(unheard, damage);
+                }
+            }
+            failure => drop(self.map_failure.get_or_insert(failure)),
         }
     }
 

@@ -1,7 +1,8 @@
 //! `loci map`: maps looked at, verified, exported, named and compacted.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
+use std::fs::{self, File, Permissions};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
@@ -16,7 +17,8 @@ use parquet::record::Field;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::program::{loci, text};
+use crate::misfortune::loci_of_a_mere_user;
+use crate::program::{finished, loci, text};
 
 const STRANGE: &str = "he said \"hi\", then;\n\tleft – ü 雪";
 const JOURNAL: &str = "journal-000001.loci";
@@ -102,6 +104,13 @@ pub(crate) fn tear(map: &Path) {
     fs::write(&journal, [fs::read(&journal).unwrap(), vec![1; 99]].concat()).unwrap();
 }
 
+/// Damages the records of both keyframes of the [`map`].
+pub(crate) fn damage_keyframes(map: &Path) {
+    let journal = fs::read(map.join(JOURNAL)).unwrap();
+    let at = |wanted: &[u8]| journal.windows(wanted.len()).position(|bytes| bytes == wanted).unwrap();
+    [&b"000.jpg"[..], b"=1+1"].into_iter().for_each(|name| flip(&map.join(JOURNAL), at(name)));
+}
+
 /// Runs `loci map COMMAND MAP ARGUMENTS` and gives the JSON object on stdout.
 fn json(command: &str, map: &Path, arguments: &[&str]) -> Value {
     let run = loci(&[&["map", command, text(map), "--json"], arguments].concat());
@@ -168,28 +177,79 @@ fn a_sound_map_is_verified_and_not_touched() {
 #[test]
 fn damage_is_listed_with_file_and_byte_also_where_the_map_does_not_open() {
     let (_folder, map) = map();
-    let (journal, snapshot) = (map.join(JOURNAL), map.join("snapshot.loci"));
+    let journal = map.join(JOURNAL);
     let whole = fs::read(&journal).unwrap();
     flip(&journal, 60);
     flip(&journal, whole.len() - 1);
     let verified = loci(&["map", "verify", text(&map), "--json"]);
-    verified.assert_failed(1, &["site is damaged", "problems found: 2"]);
+    verified.assert_failed(1, &["site is damaged, problems found: 2"]);
     let report = &verified.records()[0];
     assert_eq!((&report["snapshot"], &report["damaged"]), (&"not_compared".into(), &true.into()));
     assert_eq!(report["problems"][0]["file"], text(&journal), "{report}");
     assert_eq!(report["problems"][0]["offset"], 58, "{report}");
     fs::write(&journal, &whole[..100]).unwrap();
-    loci(&["map", "info", text(&map)]).assert_failed(1, &["is damaged"]);
+    let info = loci(&["map", "info", text(&map)]);
+    info.assert_failed(1, &["is damaged"]);
     let verified = loci(&["map", "verify", text(&map)]);
-    verified.assert_failed(1, &["site is damaged"]);
+    verified.assert_failed(1, &["site does not open", info.stderr.trim_start_matches("loci: ")]);
     let problem = format!("problem   {}, byte ", journal.display());
     assert!(verified.stdout.contains(&problem), "{}", verified.stdout);
-    fs::write(&journal, &whole).unwrap();
-    fs::write(&snapshot, b"nothing of the kind").unwrap();
+}
+
+#[test]
+fn a_snapshot_that_is_of_no_use_is_no_damage_and_verify_says_of_it_what_info_says() {
+    let (_folder, map) = map();
+    let snapshot = map.join("snapshot.loci");
+    let whole = fs::read(&snapshot).unwrap();
+    let foreign = fs::read("tests/data/map/version_2/snapshot.loci").unwrap();
+    for bytes in [&whole[..whole.len() - 5], b"", b"nothing of the kind", &foreign] {
+        fs::write(&snapshot, bytes).unwrap();
+        let fault = json("info", &map, &[])["snapshot_fault"].as_str().unwrap().to_owned();
+        let verified = loci(&["map", "verify", text(&map), "--json"]);
+        assert_eq!((verified.code, verified.stderr), (0, format!("loci: {fault}\n")));
+        let report: Value = serde_json::from_str(&verified.stdout).unwrap();
+        assert_eq!((&report["damaged"], &report["snapshot"]), (&false.into(), &"useless".into()));
+        assert_eq!(report["snapshot_fault"], fault);
+    }
+    fs::write(&snapshot, &whole).unwrap();
+    fs::remove_file(map.join(JOURNAL)).unwrap();
     let verified = loci(&["map", "verify", text(&map)]);
-    verified.assert_failed(1, &["problems found: 1"]);
-    let problem = format!("problem   {}: it is not a map snapshot", snapshot.display());
-    assert!(verified.stdout.contains(&problem), "{}", verified.stdout);
+    verified.assert_failed(1, &[JOURNAL, "restore it from a copy"]);
+    assert_eq!(loci(&["map", "info", text(&map)]).stderr, verified.stderr);
+}
+
+#[test]
+fn what_may_not_be_read_is_no_damage() {
+    let (_folder, map) = map();
+    for name in [JOURNAL, "snapshot.loci"] {
+        let path = map.join(name);
+        fs::set_permissions(&path, Permissions::from_mode(0)).unwrap();
+        let verified = finished(loci_of_a_mere_user(&map).args(["map", "verify", text(&map)]));
+        verified.assert_failed(1, &["cannot open", name, "Permission denied"]);
+        assert_eq!(verified.stdout, "");
+        fs::set_permissions(&path, Permissions::from_mode(0o644)).unwrap();
+    }
+}
+
+#[test]
+fn damaged_keyframes_are_counted_by_info_and_given_up_by_compact() {
+    let (_folder, map) = map();
+    damage_keyframes(&map);
+    let info = loci(&["map", "info", text(&map), "--json"]);
+    assert_eq!((info.code, info.stderr.lines().count()), (3, 1), "{}", info.stderr);
+    for part in
+        ["cannot be read: 2 (", "journal-000001.loci: bad record at byte ", "`loci map compact` gives"]
+    {
+        assert!(info.stderr.contains(part), "no '{part}' in: {}", info.stderr);
+    }
+    assert_eq!(info.records()[0]["unreadable_keyframes"], 2);
+    let verified = loci(&["map", "verify", text(&map)]);
+    verified.assert_failed(1, &["site is damaged, problems found: 2; `loci map compact` gives up"]);
+    let compacted = loci(&["map", "compact", text(&map)]);
+    assert_eq!((compacted.code, compacted.stderr.lines().count()), (3, 1), "{}", compacted.stderr);
+    assert!(compacted.stderr.contains("given up") && !compacted.stderr.contains("from a copy"));
+    assert_eq!(json("info", &map, &[])["experiences"], 2);
+    assert_eq!(json("verify", &map, &[])["damaged"], false);
 }
 
 #[test]
@@ -469,16 +529,19 @@ fn names_that_would_confuse_are_refused() {
         ("", "empty"),
         ("  ", "empty"),
         (" dock", "a space"),
-        ("a\nb", "control"),
-        ("\u{1b}[2J", "control"),
+        ("a\nb", "nobody sees"),
+        ("\u{1b}[2J", "nobody sees"),
+        ("a\u{202e}b", "nobody sees"),
+        ("a\u{200b}", "nobody sees"),
         ("17", "a number"),
         (&"ü".repeat(201), "200 characters"),
     ] {
-        rename("0", name).assert_failed(2, &["cannot name a place", reason]);
+        rename("0", name).assert_failed(2, &["cannot name a place", reason, "name it like \"dock 3\""]);
     }
     assert!(files(&map) == before);
     rename("9", "dock").assert_failed(1, &["there is no place 9 in the map"]);
     rename("nowhere", "dock").assert_failed(1, &["no place in the map is called \"nowhere\""]);
+    assert_eq!(rename("0", "M\u{fc}ller's \"e\u{301}\" \\ 雪").code, 0);
     assert_eq!(rename("0", &"ü".repeat(200)).code, 0);
     rename("2", &"ü".repeat(200)).assert_failed(1, &["place 0 is called", "already"]);
 }
@@ -487,10 +550,10 @@ fn names_that_would_confuse_are_refused() {
 fn the_name_of_a_merged_place_leads_to_what_it_became_until_another_one_is_called_so() {
     let (_folder, path) = map();
     let mut map = opened(&path);
-    map.split_place(PlaceId(1)).unwrap();
+    learn(&mut map, None, 4, "004.jpg");
     map.name_place(PlaceId(0), "dock").unwrap();
-    map.name_place(PlaceId(1), "yard").unwrap();
-    map.merge_places(PlaceId(1), PlaceId(0)).unwrap();
+    map.name_place(PlaceId(3), "yard").unwrap();
+    map.merge_places(PlaceId(3), PlaceId(0)).unwrap();
     drop(map);
     assert_eq!(json("rename", &path, &["yard", "quay"])["place"], 0);
     assert_eq!(json("rename", &path, &["2", "yard"])["place"], 2);

@@ -6,9 +6,10 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use loci::place_map::{MapOptions, PlaceMap};
+use loci::storage::WriterLock;
 use serde_json::Value;
 
-use crate::map_care::{files, learn, map, tear};
+use crate::map_care::{damage_keyframes, files, learn, map, tear};
 use crate::program::{Finished, finished, loci, text};
 
 /// Has the CNN descriptors of a model that there is nowhere.
@@ -163,6 +164,39 @@ fn a_torn_map_is_merged_up_to_its_tail_which_is_reported() {
     assert!(merged.stderr.contains(&format!("{}: 99 bytes of a torn", b.display())), "{}", merged.stderr);
     assert!(files(&b) == before);
     assert_eq!(PlaceMap::open_read_only(&out).unwrap().summary().experiences, 8);
+}
+
+#[test]
+fn what_is_damaged_of_a_map_is_left_out_and_said() {
+    let (folder, a) = map();
+    let (_other, b) = map();
+    damage_keyframes(&b);
+    let planned = loci(&["map", "merge", text(&a), text(&b), "--dry-run"]);
+    assert_eq!((planned.code, planned.stderr.lines().count()), (3, 1), "{}", planned.stderr);
+    for part in ["keyframes left out", "cannot be read: 2 (", "`loci map compact`", text(&b)] {
+        assert!(planned.stderr.contains(part), "no '{part}' in: {}", planned.stderr);
+    }
+    let out = folder.path().join("both");
+    let merged = loci(&["map", "merge", text(&a), text(&b), "--out", text(&out)]);
+    assert_eq!((merged.code, merged.stderr.lines().count()), (3, 1), "{}", merged.stderr);
+    assert!(merged.stderr.contains("cannot be read (experiences: 2, thumbnails: 0): "), "{}", merged.stderr);
+    assert_eq!(PlaceMap::open_read_only(&out).unwrap().summary().experiences, 6);
+    assert_eq!(loci(&["map", "verify", text(&out)]).code, 0);
+}
+
+#[test]
+fn what_a_merge_left_behind_that_was_ended_at_once_is_deleted_by_the_next_one() {
+    let (folder, a) = map();
+    let (_other, b) = map();
+    let path = |name: &str| folder.path().join(name);
+    let [ended, held, foreign, elsewhere] =
+        ["both.7.part", "both.8.part", "both.x.part", "botha.7.part"].map(path);
+    for leftover in [&ended, &held, &foreign, &elsewhere] {
+        fs::create_dir(leftover).unwrap();
+    }
+    let _held = WriterLock::acquire(&held).unwrap();
+    assert_eq!(loci(&["map", "merge", text(&a), text(&b), "--out", text(&path("both"))]).code, 0);
+    assert!(!ended.exists() && held.exists() && foreign.exists() && elsewhere.exists());
 }
 
 /// A map of one place with so many experiences that no copy of it is made in an instant.

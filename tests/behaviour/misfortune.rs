@@ -58,7 +58,7 @@ fn set_writable(folder: &Path, is_writable: bool) {
 }
 
 /// `loci`, which may not write where the permissions of `folder` say that nobody may, not even as root.
-fn loci_of_a_mere_user(folder: &Path) -> Command {
+pub(crate) fn loci_of_a_mere_user(folder: &Path) -> Command {
     // This process made it.
     if fs::metadata(folder).unwrap().uid() != 0 {
         return Command::new(LOCI);

@@ -44,11 +44,12 @@ pub(super) fn run(arguments: &CompactArguments) -> anyhow::Result<Outcome> {
     let spinner = spinner("rewriting what counts");
     let compacted = map.compact();
     spinner.finish_and_clear();
-    compacted?;
+    // Also where it failed then: what was given up is gone.
     let loss = map.take_loss();
     if let Some(loss) = &loss {
         eprintln!("loci: {loss}");
     }
+    compacted?;
     let report = Report { bytes_before: before.journal_bytes, bytes_after: map.summary().journal_bytes };
     let Report { bytes_before, bytes_after } = report;
     say(&match arguments.json {

@@ -14,7 +14,7 @@ use crate::cli::console::{counted, say};
 /// Arguments of `loci map info`.
 #[derive(Args)]
 #[command(after_help = "Examples:\n  loci map info maps/site\n  loci map info maps/site --json\n\n\
-    A run may write the map meanwhile. The exit code is 3 where the last record is torn.")]
+    A run may write the map meanwhile. The exit code is 3 where the last record is torn or keyframes cannot be read.")]
 pub(in crate::cli) struct InfoArguments {
     /// Folder of the map
     map: PathBuf,
@@ -42,6 +42,7 @@ struct Known {
     merged_places: usize,
     experiences: usize,
     keyframes: usize,
+    unreadable_keyframes: usize,
 }
 
 #[derive(Serialize)]
@@ -61,15 +62,21 @@ pub(super) fn run(arguments: &InfoArguments) -> anyhow::Result<Outcome> {
     let map = PlaceMap::open_read_only(&arguments.map)?;
     let MapSummary { places, named_places, merged_places, experiences, keyframes, .. } = map.summary();
     let MapSummary { segments, journal_bytes, live_bytes, torn_bytes, snapshot_bytes, .. } = map.summary();
+    let (models, unreadable) = map.models()?;
+    let unreadable_keyframes = unreadable.as_ref().map_or(0, |unreadable| unreadable.keyframes);
     let snapshot_fault = map.snapshot_fault().map(ToString::to_string);
     let info = Info {
         map: arguments.map.display().to_string(),
-        known: Known { places, named_places, merged_places, experiences, keyframes },
+        known: Known { places, named_places, merged_places, experiences, keyframes, unreadable_keyframes },
         files: Files { segments, journal_bytes, live_bytes, torn_bytes, snapshot_bytes, snapshot_fault },
-        models: map.models()?,
+        models,
     };
     say(&if arguments.json { serde_json::to_string(&info)? } else { info.to_string() })?;
-    Ok(report_torn_tail(&map, &arguments.map))
+    let torn = report_torn_tail(&map, &arguments.map);
+    Ok(unreadable.map_or(torn, |unreadable| {
+        eprintln!("loci: {unreadable}");
+        Outcome::Lost
+    }))
 }
 
 impl fmt::Display for Info {

@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use loci::cnn::{CARD_FILE, ModelCard};
-use loci::place_map::{Durability, MapOptions, MapSummary, PlaceId, PlaceMap};
+use loci::place_map::{Durability, MapError, MapOptions, MapSummary, PlaceId, PlaceMap};
 use loci::recognition::{Join, Recogniser, RecognitionOptions, Support};
-use loci::storage::{DiskFolder, Folder};
+use loci::storage::{DiskFolder, Folder, WriterLock};
 use loci::vocabulary::VocabularySet;
 use serde::Serialize;
 
@@ -31,9 +31,8 @@ use crate::cli::{Outcome, WrongArgument, assets, stream};
     A place of B is joined to one of A if both say so: at least two keyframes of each, or the only one, match the \
     other strongly and better than any other place; so do at least half of the keyframes of either; and most keyframes \
     of B's place that match anything match A's. A match is strong by geometry with twice the inliers that `loci run` \
-    asks for, or with just those where the CNN descriptors that the maps hold agree. A wrong join costs much, a place \
-    that stays double little. \
-    Where the model's folder is missing, geometry decides alone.")]
+    asks for, or with just those where the CNN descriptors that the maps hold agree. Where the model's folder is \
+    missing, geometry decides alone.")]
 pub(in crate::cli) struct MergeArguments {
     /// The map whose places keep their numbers
     a: PathBuf,
@@ -119,12 +118,13 @@ pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
     let [mut a, mut b] = recognisers(arguments, &settings)?;
     go_on(&stop)?;
     let spinner = spinner("recognising the keyframes of each in the other");
-    let joins = a.joins(&mut b);
+    let joins = a.joins(&mut b, &stop);
     spinner.finish_and_clear();
-    let joins = joins?;
-    go_on(&stop)?;
+    let joins = unless_stopped(&stop, joins)?;
+    let unreadable = [&mut a, &mut b].map(Recogniser::take_map_failure);
     let maps = (a.map(), b.map());
     let made = arguments.out.as_deref().map(|out| make(out, options, maps, &joins, &stop)).transpose()?;
+    let (made, left_out) = made.map_or((None, unreadable), |(made, left_out)| (Some(made), left_out));
     let report = Report {
         joins: joins.iter().map(JoinLine::from).collect(),
         places: made.as_ref().map(|made| made.places),
@@ -136,8 +136,10 @@ pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
         report.joins.iter().try_for_each(|join| say(&sentence(join)))?;
         say(&conclusion(&report, arguments))?;
     }
+    left_out.iter().flatten().for_each(|left_out| eprintln!("loci: {left_out}"));
     let torn = [(a.map(), &arguments.a), (b.map(), &arguments.b)].map(|(map, at)| report_torn_tail(map, at));
-    Ok(if torn.contains(&Outcome::Lost) { Outcome::Lost } else { Outcome::Done })
+    let is_lost = left_out.iter().any(Option::is_some) || torn.contains(&Outcome::Lost);
+    Ok(if is_lost { Outcome::Lost } else { Outcome::Done })
 }
 
 /// Refuses folders that make no sense: one map given twice, and a new map where there is something already.
@@ -161,6 +163,12 @@ fn check_folders(arguments: &MergeArguments) -> Result<(), WrongArgument> {
 fn go_on(stop: &AtomicBool) -> anyhow::Result<()> {
     anyhow::ensure!(!stop.load(Ordering::Relaxed), "interrupted: no map was made");
     Ok(())
+}
+
+/// What came of it, unless the user wants no more of it.
+fn unless_stopped<T>(stop: &AtomicBool, result: Result<T, MapError>) -> anyhow::Result<T> {
+    go_on(stop)?;
+    Ok(result?)
 }
 
 /// What recognises in A and in B, all of whose places are searched. The CNN itself is not needed: the maps hold its
@@ -193,24 +201,25 @@ fn card(named: Option<&Path>) -> anyhow::Result<Option<ModelCard>> {
     Ok(Some(ModelCard::read(&model.join(CARD_FILE))?))
 }
 
-/// Makes the joint map, whole or not at all.
+/// Makes the joint map, whole or not at all; answers also what was left out of either since it is damaged.
 fn make(
     out: &Path,
     options: MapOptions,
     maps: (&PlaceMap, &PlaceMap),
     joins: &[Join],
     stop: &AtomicBool,
-) -> anyhow::Result<MapSummary> {
+) -> anyhow::Result<(MapSummary, [Option<MapError>; 2])> {
+    remove_leftovers(out);
     let mut name = out.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
     let beside = out.with_file_name(name);
     let spinner = spinner("writing the map that holds both");
-    let made = fill(&beside, options, maps, joins, stop).and_then(|summary| {
+    let made = fill(&beside, options, maps, joins, stop).and_then(|(map, left_out)| {
         let parent = DiskFolder::new(out.parent().unwrap_or(Path::new("")));
         fs::rename(&beside, out)
             .and_then(|()| parent.sync())
             .map_err(|error| anyhow::anyhow!("cannot make {}: {error}", out.display()))?;
-        Ok(summary)
+        Ok((map.summary(), left_out))
     });
     if made.is_err() {
         // The failure itself is what matters; a leftover would only add to it.
@@ -226,18 +235,35 @@ fn fill(
     (a, b): (&PlaceMap, &PlaceMap),
     joins: &[Join],
     stop: &AtomicBool,
-) -> anyhow::Result<MapSummary> {
+) -> anyhow::Result<(PlaceMap, [Option<MapError>; 2])> {
     let mut map = PlaceMap::open(folder, options)?;
-    map.absorb(a)?;
-    go_on(stop)?;
-    let first = map.absorb(b)?;
+    let (_, without_a) = unless_stopped(stop, map.absorb(a, stop))?;
+    let (first, without_b) = unless_stopped(stop, map.absorb(b, stop))?;
     for join in joins {
         go_on(stop)?;
         map.merge_places(PlaceId(first.0 + join.other.0), join.place)?;
     }
     map.close()?;
     go_on(stop)?;
-    Ok(map.summary())
+    Ok((map, [without_a, without_b]))
+}
+
+/// Deletes what merges to `out` left behind that were ended at once, unless they still go on. What cannot be deleted
+/// is in nobody's way.
+fn remove_leftovers(out: &Path) {
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    let is_leftover = |found: &str| {
+        let process =
+            found.strip_prefix(&*name).and_then(|rest| rest.strip_prefix('.')?.strip_suffix(".part"));
+        process.is_some_and(|process| process.parse::<u32>().is_ok())
+    };
+    for entry in fs::read_dir(folder_of(out)).into_iter().flatten().flatten() {
+        if is_leftover(&entry.file_name().to_string_lossy())
+            && let Ok(_unused) = WriterLock::acquire(&entry.path())
+        {
+            let _ = fs::remove_dir_all(entry.path());
+        }
+    }
 }
 
 fn sentence(JoinLine { place, other, there, back }: &JoinLine) -> String {
