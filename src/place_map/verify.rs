@@ -535,7 +535,7 @@ mod tests {
         let count = |path: &Path| found.problems.iter().filter(|problem| problem.path == path).count();
         assert!(count(&segment(1)) >= 2, "{:?}", found.problems);
         assert_eq!((count(&segment(2)), found.snapshot), (1, SnapshotState::Useless));
-        assert!(found.refusal.unwrap().ends_with("restore it from a copy"));
+        assert!(found.refusal.as_ref().unwrap().ends_with("restore it from a copy"));
         assert!(count(&segment(3)) >= 1 && found.records > 50, "{found:?}");
     }
 

@@ -223,7 +223,7 @@ fn what_may_not_be_read_is_no_damage() {
     let (_folder, map) = map();
     for name in [JOURNAL, "snapshot.loci"] {
         let path = map.join(name);
-        fs::set_permissions(&path, Permissions::from_mode(0)).unwrap();
+        fs::set_permissions(&path, Permissions::from_mode(0o000)).unwrap();
         let verified = finished(loci_of_a_mere_user(&map).args(["map", "verify", text(&map)]));
         verified.assert_failed(1, &["cannot open", name, "Permission denied"]);
         assert_eq!(verified.stdout, "");

@@ -136,10 +136,18 @@ pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
         report.joins.iter().try_for_each(|join| say(&sentence(join)))?;
         say(&conclusion(&report, arguments))?;
     }
-    left_out.iter().flatten().for_each(|left_out| eprintln!("loci: {left_out}"));
+    left_out.iter().flatten().for_each(report_left_out);
     let torn = [(a.map(), &arguments.a), (b.map(), &arguments.b)].map(|(map, at)| report_torn_tail(map, at));
     let is_lost = left_out.iter().any(Option::is_some) || torn.contains(&Outcome::Lost);
     Ok(if is_lost { Outcome::Lost } else { Outcome::Done })
+}
+
+/// Says what of one of both maps nothing was made of, and what helps.
+fn report_left_out(left_out: &MapError) {
+    match left_out {
+        MapError::GaveUp { .. } => eprintln!("loci: {left_out}; `loci map compact` gives it up there, too"),
+        _ => eprintln!("loci: {left_out}"),
+    }
 }
 
 /// Refuses folders that make no sense: one map given twice, and a new map where there is something already.
