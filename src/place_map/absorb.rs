@@ -30,7 +30,7 @@ impl Loss {
 
     fn told(self) -> Option<MapError> {
         let Self { experiences, thumbnails, first } = self;
-        first.map(|first| MapError::GaveUp { experiences, thumbnails, first })
+        first.map(|first| MapError::GaveUp { experiences, keyframes: 0, thumbnails, first })
     }
 }
 

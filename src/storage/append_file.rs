@@ -81,9 +81,9 @@ impl DiskFile {
     pub fn lock(self, path: &Path) -> Result<Self, StorageError> {
         match self.0.try_lock() {
             Ok(()) => Ok(self),
-            Err(TryLockError::WouldBlock) => {
-                Err(StorageError::io("lock", path)(io::Error::other("another process is writing it")))
-            }
+            Err(TryLockError::WouldBlock) => Err(StorageError::io("lock", path)(io::Error::other(
+                "another process is writing it; wait until it is done",
+            ))),
             Err(TryLockError::Error(source)) => Err(StorageError::io("lock", path)(source)),
         }
     }
