@@ -159,7 +159,10 @@ mod tests {
         found(&mut map, 7);
         let (first_place, loss) = map.absorb(&damaged, &GO_ON).unwrap();
         let loss = loss.unwrap().to_string();
-        assert!(loss.contains("(experiences: 1, thumbnails: 1): ") && loss.contains("bad record"), "{loss}");
+        assert!(
+            loss.contains("(experiences: 1, keyframes: 0, thumbnails: 1): ") && loss.contains("bad record"),
+            "{loss}"
+        );
         assert_eq!((first_place, map.places().len(), map.experiences().count()), (PlaceId(1), 4, 3));
         assert!(map.thumbnail_jpeg(ExperienceId(2)).unwrap().is_empty());
     }

@@ -37,7 +37,8 @@ pub enum MapError {
     },
     /// What had to be written again, so that the rest could be kept, could not be read.
     #[error(
-        "given up, for it cannot be read (experiences: {experiences}, keyframes: {keyframes}, thumbnails: {thumbnails}): {}",
+        "given up, for it cannot be read (experiences: {experiences}, keyframes: {keyframes}, \
+         thumbnails: {thumbnails}): {}",
         found(first)
     )]
     GaveUp {

@@ -41,7 +41,8 @@ impl PlaceMap {
     /// # Errors
     /// If there is none, or as for [`open`](Self::open).
     pub fn open_existing(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
-        if !folder.is_dir() || segment_numbers(&DiskFolder::new(folder))?.is_empty() {
+        let has_snapshot = folder.join(snapshot::NAME).exists();
+        if !folder.is_dir() || !has_snapshot && segment_numbers(&DiskFolder::new(folder))?.is_empty() {
             return Err(MapError::Missing { path: folder.to_owned() });
         }
         Self::open(folder, options)
@@ -56,9 +57,13 @@ impl PlaceMap {
         if !folder.is_dir() {
             return Err(missing());
         }
-        let map =
+        let mut map =
             opened_beside_a_writer(|| Self::open_folder(Arc::new(DiskFolder::new(folder)), None, None))?;
-        if map.journal.active_number() == 0 { Err(missing()) } else { Ok(map) }
+        if map.journal.active_number() > 0 {
+            return Ok(map);
+        }
+        let ahead = map.snapshot_fault.take().filter(|fault| matches!(fault, StorageError::Ahead { .. }));
+        Err(ahead.map_or_else(missing, MapError::from))
     }
 
     /// Opens the map in `folder`, for writing if there are `options`.

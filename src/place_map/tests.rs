@@ -484,7 +484,7 @@ fn a_map_stays_within_its_budget_for_ever_and_loses_no_place() {
     assert_eq!(knowledge(&PlaceMap::open_folder(folder, Some(SMALL), None).unwrap()), before);
 }
 
-/// A folder in memory that knows how many bytes were in it at most: it only shrinks where a file is removed or replaced.
+/// A folder in memory that knows how many bytes were in it at most: it shrinks only as files go.
 #[derive(Default)]
 struct MeasuredFolder {
     folder: MemoryFolder,

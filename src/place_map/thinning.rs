@@ -39,7 +39,8 @@ impl Glimpse {
 }
 
 /// The one that tells least among `glimpses`, which are in the order of their numbers: of the two that are most alike
-/// the one that is no keyframe, else the younger; but never the last keyframe, or the last of all, of a half. `None` where there is no such.
+/// the one that is no keyframe, else the younger; but never the last keyframe, or the last of all, of a half. `None`
+/// where there is no such.
 pub(super) fn least_telling(glimpses: &[Glimpse]) -> Option<ExperienceId> {
     let mut counts: BTreeMap<(PlaceId, bool), usize> = BTreeMap::new();
     for glimpse in glimpses {

@@ -1,8 +1,8 @@
 //! Everything that a map's files say, read to the last byte: checksums, contents, and the snapshot against what the
 //! journal gives without it.
 //!
-//! Opening a map is stricter and quicker: it stops at the first damage, and leaves out what it need not read. Whether it
-//! can do with what is wrong, only opening the map tells.
+//! Opening a map is stricter and quicker: it stops at the first damage, and leaves out what it need not read. Whether
+//! it can do with what is wrong, only opening the map tells.
 
 use std::fmt;
 use std::io;
@@ -32,13 +32,13 @@ pub struct Verification {
     pub bytes: u64,
     /// What is to be said of the snapshot.
     pub snapshot: SnapshotState,
-    /// What is wrong with it and what helps, if it is [useless](SnapshotState::Useless) or [wrong](SnapshotState::Wrong).
+    /// What is wrong with it and what helps, if it is useless or wrong.
     pub snapshot_fault: Option<String>,
     /// What is wrong with the journal, in the order of the files; at most a thousand problems.
     pub problems: Vec<Problem>,
     /// Number of problems beyond those.
     pub further_problems: u64,
-    /// Why the map cannot be opened, if it cannot.
+    /// Why the map cannot be opened to be written, if it cannot.
     pub refusal: Option<String>,
 }
 
@@ -347,7 +347,12 @@ impl<'a> Verifier<'a> {
             return;
         }
         let opened = PlaceMap::open_read_only(self.folder.path());
-        let fault = opened.as_ref().ok().and_then(PlaceMap::snapshot_fault).map(ToString::to_string);
+        let fault = opened.as_ref().ok().and_then(PlaceMap::snapshot_fault);
+        if let Some(ahead @ StorageError::Ahead { .. }) = fault {
+            self.found.refusal = Some(ahead.to_string());
+            return;
+        }
+        let fault = fault.map(ToString::to_string);
         self.found.refusal = opened.err().map(|error| error.to_string());
         let said = match (self.doubt.take(), fault) {
             (_, Some(fault)) | (Some(Doubt::Unreadable(fault)), None) => (SnapshotState::Useless, fault),
@@ -598,10 +603,10 @@ mod tests {
         let inside = Position { offset: position.offset - 1, ..position };
         assert!(said(inside, &contents).contains("no record begins"));
         snapshot::write(&folder, Position { segment: 9, ..position }, &contents).unwrap();
+        let refusal = verified(map.path()).refusal.unwrap();
         assert!(
-            verified(map.path()).problems[0]
-                .to_string()
-                .contains("journal-000009.loci: the segment is missing")
+            refusal.contains("knows more than the journal beside it: journal-000009.loci is missing"),
+            "{refusal}"
         );
     }
 

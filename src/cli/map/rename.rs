@@ -76,7 +76,7 @@ fn check_name(name: &str) -> Result<(), WrongArgument> {
 }
 
 /// Whether `character` is neither a control character nor one of format, such as those that turn the direction of
-/// writing: Rust, too, spells these out. Within a text, for at its beginning it also spells out accents that stand alone.
+/// writing: Rust, too, spells these out. Within a text, for at its beginning it spells out lone accents, too.
 fn is_seen(character: char) -> bool {
     ['"', '\'', '\\'].contains(&character) || format!("a{character}").escape_debug().count() == 2
 }

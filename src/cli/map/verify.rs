@@ -60,7 +60,9 @@ pub(super) fn run(arguments: &VerifyArguments) -> anyhow::Result<Outcome> {
     let map = arguments.map.display();
     let count = found.problems.len() as u64 + found.further_problems;
     match (found.is_damaged(), found.refusal, found.snapshot_fault) {
-        (true, Some(refusal), _) => anyhow::bail!("{map} does not open, problems found: {count}; {refusal}"),
+        (true, Some(refusal), _) => {
+            anyhow::bail!("{map} cannot be used as it is, problems found: {count}; {refusal}")
+        }
         (true, None, _) => anyhow::bail!(
             "{map} is damaged, problems found: {count}; `loci map compact` gives up what cannot be read"
         ),

@@ -23,7 +23,7 @@ const FRAMES_PER_CORE: usize = 4;
 /// Bytes of pixels after which no more frames are looked at side by side: memory must not grow with the cores.
 const BATCH_BYTES: usize = 128 << 20;
 
-/// The descriptors of every frame of the sources, those that an earlier run extracted included, unless `stop` is raised.
+/// The descriptors of every frame of the sources, those that an earlier run extracted included, until `stop`.
 pub(super) fn extract(names: &[String], out: &Path, stop: &AtomicBool) -> anyhow::Result<TrainingFile> {
     let announced = names
         .iter()
