@@ -11,6 +11,8 @@
 
 mod absorb;
 mod batch;
+#[cfg(test)]
+mod budget_tests;
 mod contents;
 mod error;
 mod format;
