@@ -32,7 +32,7 @@ fn images() -> Option<Vec<Vec<Descriptor>>> {
 /// Private memory of this process in KiB.
 fn private_kib() -> u64 {
     let rollup = fs::read_to_string("/proc/self/smaps_rollup").expect("Linux");
-    let fields = rollup.lines().filter(|line| line.starts_with("Private_Dirty:"));
+    let fields = rollup.lines().filter(|line| line.starts_with("Anonymous:"));
     fields.filter_map(|line| line.split_whitespace().nth(1)?.parse::<u64>().ok()).sum()
 }
 

@@ -85,7 +85,7 @@ fn frame(index: u64, random: &mut Pcg64) -> Frame {
 /// Memory of this process in KiB that no file backs.
 fn private_kib() -> f64 {
     let rollup = std::fs::read_to_string("/proc/self/smaps_rollup").unwrap();
-    let private = rollup.lines().find_map(|line| line.strip_prefix("Private_Dirty:")).unwrap();
+    let private = rollup.lines().find_map(|line| line.strip_prefix("Anonymous:")).unwrap();
     private.split_whitespace().next().unwrap().parse().unwrap()
 }
 

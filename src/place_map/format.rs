@@ -9,7 +9,7 @@ use std::f32::consts::PI;
 use bincode::config::{Configuration, Fixint, Limit, LittleEndian};
 use bincode::{Decode, Encode};
 
-use super::{Appearance, ExperienceId, VocabularyWords};
+use super::{Appearance, ExperienceId, Traits, VocabularyWords};
 use crate::cnn::{self, CompactDescriptor};
 use crate::feature::{Descriptor, Features, Keypoint};
 use crate::frame::Pose;
@@ -194,19 +194,19 @@ impl KeyframeRecord {
         Self { features_back_bytes, words: words.collect(), appearance }
     }
 
-    pub(super) fn unpacked_words(&self) -> Vec<VocabularyWords> {
-        let unpacked = |(vocabulary, words): &(u64, Vec<u32>)| VocabularyWords {
-            vocabulary: *vocabulary,
-            words: words.iter().copied().map(WordId).collect(),
-        };
-        self.words.iter().map(unpacked).collect()
-    }
-
-    pub(super) fn unpacked_appearance(&self) -> Result<Option<Appearance>, String> {
-        let Some((model, values)) = &self.appearance else { return Ok(None) };
-        let descriptor =
-            CompactDescriptor::from_values(values.clone()).ok_or("its CNN descriptor has no direction")?;
-        Ok(Some(Appearance { model: model.clone(), descriptor }))
+    /// What the keyframe is found by; an error if its CNN descriptor is none.
+    pub(super) fn unpacked(self) -> Result<Traits, String> {
+        let words = self.words.into_iter().map(|(vocabulary, words)| VocabularyWords {
+            vocabulary,
+            words: words.into_iter().map(WordId).collect(),
+        });
+        let mut traits = Traits { words: words.collect(), appearance: None };
+        if let Some((model, values)) = self.appearance {
+            let descriptor =
+                CompactDescriptor::from_values(values).ok_or("its CNN descriptor has no direction")?;
+            traits.appearance = Some(Appearance { model, descriptor });
+        }
+        Ok(traits)
     }
 }
 

@@ -143,9 +143,9 @@ impl Parts {
             }
             EXPERIENCE => {
                 let record: ExperienceRecord = format::decode(payload)?;
-                if let Some(keyframe) = &record.keyframe {
+                if let Some(keyframe) = record.keyframe {
                     self.check_way(offset, keyframe.features_back_bytes, FEATURES)?;
-                    keyframe.unpacked_appearance()?;
+                    keyframe.unpacked()?;
                 }
                 match record.thumbnail_back_bytes {
                     0 => Ok(()),

@@ -5,7 +5,7 @@
 //! journal and are read when they are needed.
 //!
 //! Everything goes through the journal: the map in memory is what replaying it gives, whether a record was just
-//! written or read after a restart. `journal` keeps the segments, `recovery` reads them, `snapshot` saves reading
+//! written or read after a restart. `journal` keeps the segments, `journal_opening` reads them, `snapshot` saves reading
 //! them all if `witness` finds that it is theirs, `thinning` says what to give up when the map is to stay within its
 //! budget.
 
@@ -18,13 +18,13 @@ mod error;
 mod format;
 mod inspection;
 mod journal;
+mod journal_opening;
 mod map;
-mod opening;
+mod map_opening;
 mod options;
 #[cfg(test)]
 mod power_cut_tests;
 mod reading;
-mod recovery;
 mod replay;
 mod snapshot;
 mod syncer;

@@ -83,9 +83,7 @@ impl PlaceMap {
         let location = self.location(id)?;
         let record = self.journal.experience(location)?;
         let Some(keyframe) = record.keyframe else { return Ok(Traits::default()) };
-        let appearance =
-            keyframe.unpacked_appearance().map_err(|reason| self.journal.damaged(location, &reason))?;
-        Ok(Traits { words: keyframe.unpacked_words(), appearance })
+        Ok(keyframe.unpacked().map_err(|reason| self.journal.damaged(location, &reason))?)
     }
 
     /// Hashes of the models whose descriptors it holds, sorted, and which keyframes are damaged, so that theirs are not

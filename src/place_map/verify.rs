@@ -14,7 +14,7 @@ use super::contents::{Contents, Location, MAX_SEGMENT};
 use super::inspection::{Flaw, Inspected, Said, inspect};
 use super::journal::{Position, segment_name, segment_numbers};
 use super::map::PlaceMap;
-use super::opening::READER_ATTEMPTS;
+use super::map_opening::READER_ATTEMPTS;
 use super::snapshot::{self, Snapshot};
 use crate::storage::{AppendFile, DiskFolder, Folder, LOG_HEADER_BYTES, StorageError};
 

@@ -60,8 +60,8 @@ impl Recogniser {
         };
         let learnt = self.map.learn(place, &new)?;
         learnt.given_up.iter().for_each(|&given_up| self.forget(given_up));
-        if let (Some(experience), Some((features, traits))) = (learnt.experience, &keyframe) {
-            self.make_findable((learnt.place, experience), traits, Some(features))?;
+        if let (Some(experience), Some((features, traits))) = (learnt.experience, keyframe) {
+            self.make_findable((learnt.place, experience), traits, Some(&features))?;
         }
         Ok(learnt)
     }
@@ -89,14 +89,14 @@ impl Recogniser {
         let Some(&Experience { learnt_as, .. }) = self.map.experience(id) else { return Ok(()) };
         let Some(place) = self.map.place(learnt_as).map(|place| place.id) else { return Ok(()) };
         let traits = self.map.traits(id)?;
-        self.make_findable((place, id), &traits, None)
+        self.make_findable((place, id), traits, None)
     }
 
     /// The keyframe's features, if they are not given, are read only if the words of `traits` are not enough.
     fn make_findable(
         &mut self,
         keyframe: (PlaceId, ExperienceId),
-        traits: &Traits,
+        traits: Traits,
         features: Option<&Features>,
     ) -> Result<(), MapError> {
         if self.keyframes.is_satisfied_by(&traits.words) {
@@ -107,10 +107,10 @@ impl Recogniser {
                 self.keyframes.add_growing(keyframe, features);
             }
         }
-        if let (Some(model), Some(appearance)) = (&self.model, &traits.appearance) {
+        if let (Some(model), Some(appearance)) = (&self.model, traits.appearance) {
             let (place, experience) = keyframe;
             if appearance.model == model.sha256 {
-                self.appearances.add(place, experience, appearance.descriptor.clone());
+                self.appearances.add(place, experience, appearance.descriptor);
             } else {
                 self.foreign_descriptors += 1;
             }

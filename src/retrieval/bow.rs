@@ -12,7 +12,8 @@ impl BowVector {
     /// The vector of an image that shows `words`, weighted as `vocabulary` says.
     #[must_use]
     pub fn new(words: impl IntoIterator<Item = WordId>, vocabulary: &Vocabulary) -> Self {
-        let words = words.into_iter().map(|word| (word, vocabulary.weight(word)));
+        let weights = vocabulary.weights();
+        let words = words.into_iter().map(|word| (word, weights.of(word)));
         Self::weighted(words, vocabulary.weighting())
     }
 

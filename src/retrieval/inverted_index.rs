@@ -1,9 +1,9 @@
 //! The inverted index: for every word the images that show it.
 
 use heapless::Vec as FixedVec;
-use rustc_hash::FxHashMap;
 
 use super::BowVector;
+use super::posting_lists::{Posting, PostingLists};
 use crate::vocabulary::WordId;
 
 /// Most documents that a query answers with.
@@ -22,21 +22,20 @@ pub struct Retrieved {
     pub score: f32,
 }
 
-#[derive(Clone, Copy)]
-struct Posting {
-    document: u32,
-    weight: f32,
-}
-
+/// Postings that wait at most, while many images are added in a row: with 12 bytes each 6 MiB.
+const MOST_PENDING: usize = if cfg!(test) { 50 } else { 1 << 19 };
 /// Share of the documents, and fewest, that may be removed before their postings are swept out.
 const SWEEP_SHARE: usize = 8;
 const FEWEST_SWEPT: usize = 64;
 
-/// Posting lists of the words that were seen; a vocabulary has many more.
+/// Images, each under its words.
 #[derive(Default)]
 pub struct InvertedIndex {
     /// Each sorted by document.
-    postings: FxHashMap<WordId, Vec<Posting>>,
+    postings: PostingLists,
+    /// Postings of the newest documents that are not in the lists yet: those lie far apart in memory, and each is
+    /// visited once for many images.
+    pending: Vec<(WordId, Posting)>,
     /// Score of each document in the query under way; all zero in between.
     accumulators: Vec<f32>,
     is_removed: Vec<bool>,
@@ -49,23 +48,34 @@ pub struct InvertedIndex {
 impl InvertedIndex {
     /// Indexes an image. Numbers of removed ones are given again.
     pub fn add(&mut self, bow: &BowVector) -> DocumentId {
-        let document = self.free.pop().unwrap_or(self.accumulators.len() as u32);
-        if document as usize == self.accumulators.len() {
+        let reused = self.free.pop();
+        let document = reused.unwrap_or(self.accumulators.len() as u32);
+        let postings =
+            bow.entries().iter().map(|&(word, weight)| (word, Posting { document, weight: weight as f32 }));
+        if reused.is_some() {
+            // Nothing is pending while numbers are free: what freed them has settled it.
+            self.is_removed[document as usize] = false;
+            for (word, posting) in postings {
+                let postings = self.postings.get_mut(word);
+                let position = postings.partition_point(|known| known.document < document);
+                postings.insert(position, posting);
+            }
+        } else {
             self.accumulators.push(0.0);
             self.is_removed.push(false);
-        }
-        self.is_removed[document as usize] = false;
-        for &(word, weight) in bow.entries() {
-            let postings = self.postings.entry(word).or_default();
-            let position = match postings.last() {
-                Some(last) if last.document > document => {
-                    postings.partition_point(|posting| posting.document < document)
-                }
-                _ => postings.len(),
-            };
-            postings.insert(position, Posting { document, weight: weight as f32 });
+            self.pending.extend(postings);
+            if self.pending.len() >= MOST_PENDING {
+                self.settle();
+            }
         }
         DocumentId(document)
+    }
+
+    /// Puts what is pending into the lists.
+    fn settle(&mut self) {
+        for (word, posting) in gathered(std::mem::take(&mut self.pending)) {
+            self.postings.get_mut(word).push(posting);
+        }
     }
 
     /// Forgets an image: it is not found any more. Its postings go when there are many such; answers whether they
@@ -86,27 +96,28 @@ impl InvertedIndex {
 
     /// Frees the memory of what was removed.
     pub fn sweep(&mut self) {
-        self.postings.retain(|_, postings| {
-            postings.retain(|posting| !self.is_removed[posting.document as usize]);
-            postings.shrink_to(2 * postings.len());
-            !postings.is_empty()
-        });
-        self.postings.shrink_to(2 * self.postings.len());
+        self.settle();
+        let is_removed = &self.is_removed;
+        self.postings.retain(|posting| !is_removed[posting.document as usize]);
         self.free.append(&mut self.unswept);
     }
 
     /// Whether some image shows `word`.
     #[must_use]
     pub fn shows(&self, word: WordId) -> bool {
-        self.postings.contains_key(&word)
+        !self.postings.get(word).is_empty() || self.pending.iter().any(|pending| pending.0 == word)
     }
 
     /// From now on, what was indexed as `word` counts as `other`, with the weight that it has; the weights of an
     /// image that shows both are added up. Where repetitions count (tf-idf, tf) and both words weigh the same, that
     /// is as if they had been one from the start; where they do not (idf, binary), such an image counts it twice.
     pub fn merge(&mut self, word: WordId, other: WordId) {
-        let Some(moved) = self.postings.remove(&word) else { return };
-        let postings = self.postings.entry(other).or_default();
+        self.settle();
+        if !self.shows(word) {
+            return;
+        }
+        let moved = std::mem::take(self.postings.get_mut(word));
+        let postings = self.postings.get_mut(other);
         for posting in moved {
             match postings.binary_search_by_key(&posting.document, |known| known.document) {
                 Ok(position) => postings[position].weight += posting.weight,
@@ -135,11 +146,13 @@ impl InvertedIndex {
         bow: &BowVector,
         wanted: impl Fn(DocumentId) -> bool,
     ) -> FixedVec<Retrieved, MAX_RETRIEVED> {
+        self.settle();
+        let accumulators = self.accumulators.as_mut_slice();
         let mut touched = Vec::new();
         for &(word, weight) in bow.entries() {
             let weight = weight as f32;
-            for posting in self.postings.get(&word).into_iter().flatten() {
-                let accumulator = &mut self.accumulators[posting.document as usize];
+            for posting in self.postings.get(word) {
+                let accumulator = &mut accumulators[posting.document as usize];
                 if *accumulator == 0.0 {
                     touched.push(posting.document);
                 }
@@ -150,13 +163,31 @@ impl InvertedIndex {
         touched.sort_unstable();
         let mut best = FixedVec::new();
         for document in touched {
-            let score = std::mem::take(&mut self.accumulators[document as usize]);
+            let score = std::mem::take(&mut accumulators[document as usize]);
             if !self.is_removed[document as usize] && wanted(DocumentId(document)) {
                 insert_sorted(&mut best, Retrieved { document: DocumentId(document), score });
             }
         }
         best
     }
+}
+
+/// The same postings, those of nearby words together; those of one word stay in their order.
+fn gathered(pending: Vec<(WordId, Posting)>) -> Vec<(WordId, Posting)> {
+    const PARTS: usize = 256;
+    let most = pending.iter().map(|(word, _)| word.0).max().unwrap_or(0);
+    let shift = (u32::BITS - most.leading_zeros()).saturating_sub(PARTS.ilog2());
+    let part = |word: WordId| (word.0 >> shift) as usize;
+    let mut ends = [0; PARTS + 1];
+    pending.iter().for_each(|&(word, _)| ends[part(word) + 1] += 1);
+    (0..PARTS).for_each(|part| ends[part + 1] += ends[part]);
+    let mut gathered = pending.clone();
+    for next in pending {
+        let end = &mut ends[part(next.0)];
+        gathered[*end] = next;
+        *end += 1;
+    }
+    gathered
 }
 
 /// Keeps `best` sorted by falling score and drops what does not fit.

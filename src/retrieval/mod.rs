@@ -6,6 +6,7 @@
 
 mod bow;
 mod inverted_index;
+mod posting_lists;
 
 pub use bow::BowVector;
 pub use inverted_index::{DocumentId, InvertedIndex, MAX_RETRIEVED, Retrieved};

@@ -167,9 +167,12 @@ impl Vocabulary {
     /// every image showed it, for any other word, and where a damaged file says no sensible number.
     #[must_use]
     pub fn weight(&self, word: WordId) -> f64 {
-        let weights = self.tables().weights;
-        let weight = weights.get(word.0 as usize).map_or(0.0, |&bytes| f64::from_le_bytes(bytes));
-        if (0.0..MAX_WEIGHT).contains(&weight) { weight } else { 0.0 }
+        self.weights().of(word)
+    }
+
+    /// The weights of many words.
+    pub(crate) fn weights(&self) -> Weights<'_> {
+        Weights(self.tables().weights)
     }
 
     /// The word of `descriptor`: at every node the nearest child, of equally near ones the first.
@@ -218,6 +221,18 @@ impl Vocabulary {
 
     fn tables(&self) -> Tables<'_> {
         self.counts.tables(&self.bytes)
+    }
+}
+
+/// Weights of words, in the order of the words.
+pub(crate) struct Weights<'a>(&'a [[u8; 8]]);
+
+impl Weights<'_> {
+    /// As [`Vocabulary::weight`].
+    #[inline]
+    pub(crate) fn of(&self, word: WordId) -> f64 {
+        let weight = self.0.get(word.0 as usize).map_or(0.0, |&bytes| f64::from_le_bytes(bytes));
+        if (0.0..MAX_WEIGHT).contains(&weight) { weight } else { 0.0 }
     }
 }
 

@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::journal::{Journal, segment_numbers};
+use super::journal_opening::Opened;
 use super::map::PlaceMap;
-use super::recovery::Opened;
 use super::snapshot;
 use super::upkeep::Upkeep;
 use super::{MapError, MapOptions};
