@@ -6,11 +6,13 @@
 mod blur;
 mod difference_hash;
 mod hamming;
+mod prefetch;
 mod resize;
 mod segment;
 
 pub use blur::blur_7x7;
 pub use difference_hash::difference_hash;
 pub use hamming::{hamming, nearest};
+pub use prefetch::prefetch;
 pub use resize::resize_bilinear;
 pub use segment::corner_scores;

@@ -5,9 +5,9 @@
 //! journal and are read when they are needed.
 //!
 //! Everything goes through the journal: the map in memory is what replaying it gives, whether a record was just
-//! written or read after a restart. `journal` keeps the segments, `journal_opening` reads them, `snapshot` saves reading
-//! them all if `witness` finds that it is theirs, `thinning` says what to give up when the map is to stay within its
-//! budget.
+//! written or read after a restart. `journal` keeps the segments, `journal_opening` reads them, `snapshot` saves
+//! reading them all if `witness` finds that it is theirs, `thinning` says what to give up when the map is to stay
+//! within its budget.
 
 mod absorb;
 mod batch;

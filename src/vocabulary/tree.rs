@@ -192,17 +192,22 @@ impl Vocabulary {
     #[must_use]
     pub fn quantise_all(&self, descriptors: &[Descriptor]) -> Vec<Quantised> {
         let tables = self.tables();
-        let mut descents = vec![Descent::default(); descriptors.len()];
-        for level in 0..=MAX_DEPTH {
-            let mut is_over = true;
-            for (descent, descriptor) in descents.iter_mut().zip(descriptors) {
-                is_over &= descent.step(tables, descriptor, level);
+        let mut quantised = Vec::with_capacity(descriptors.len());
+        for descriptors in descriptors.chunks(SIDE_BY_SIDE) {
+            let descents = &mut [Descent::default(); SIDE_BY_SIDE][..descriptors.len()];
+            for level in 0..=MAX_DEPTH {
+                descents.iter().for_each(|descent| descent.prefetch(tables));
+                let mut is_over = true;
+                for (descent, descriptor) in descents.iter_mut().zip(descriptors) {
+                    is_over &= descent.step(tables, descriptor, level);
+                }
+                if is_over {
+                    break;
+                }
             }
-            if is_over {
-                break;
-            }
+            quantised.extend(descents.iter().copied().map(Descent::end));
         }
-        descents.into_iter().map(Descent::end).collect()
+        quantised
     }
 
     /// The node near the root of every descriptor, as in [`Quantised::node`], without going on to its word.
@@ -236,6 +241,10 @@ impl Weights<'_> {
     }
 }
 
+/// Descents that go side by side: so many that memory answers the last before the first is asked again, and so few that
+/// what it brought is still near.
+const SIDE_BY_SIDE: usize = 64;
+
 /// A descriptor on its way down.
 #[derive(Clone, Copy, Default)]
 struct Descent {
@@ -246,6 +255,16 @@ struct Descent {
 }
 
 impl Descent {
+    /// Has the children among which the next step chooses brought near.
+    #[inline]
+    fn prefetch(&self, tables: Tables<'_>) {
+        if self.word.is_none()
+            && let Link::Children { first, children } = Link::from_bytes(tables.links[self.node as usize])
+        {
+            kernel::prefetch(&tables.descriptors[first as usize..(first + children) as usize]);
+        }
+    }
+
     /// Goes one level down; whether a word is reached.
     #[inline]
     fn step(&mut self, tables: Tables<'_>, descriptor: &Descriptor, level: u32) -> bool {
@@ -309,6 +328,19 @@ mod tests {
             words.insert(word);
         }
         assert!(words.len() > 20, "{} words", words.len());
+    }
+
+    #[test]
+    fn many_descriptors_have_the_words_that_each_has_alone() {
+        let vocabulary = Vocabulary::from_bytes(VERSION_1.to_vec(), Path::new("v1")).unwrap();
+        let descriptor = |seed: usize| {
+            Descriptor(std::array::from_fn(|i| (seed.wrapping_mul(i ^ 2_654_435_761) >> 7) as u8))
+        };
+        for count in [0, 1, SIDE_BY_SIDE - 1, SIDE_BY_SIDE, SIDE_BY_SIDE + 1, 10 * SIDE_BY_SIDE + 3] {
+            let descriptors: Vec<Descriptor> = (0..count).map(descriptor).collect();
+            let alone: Vec<Quantised> = descriptors.iter().map(|one| vocabulary.quantise(one)).collect();
+            assert_eq!(vocabulary.quantise_all(&descriptors), alone);
+        }
     }
 
     #[test]
