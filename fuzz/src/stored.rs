@@ -2,6 +2,7 @@
 //! twice: as it is, and with header, length and checksums mended.
 
 use std::fs;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -73,7 +74,11 @@ fn read_training(path: &Path) {
     corpus.push(Some(&image)).expect("a further frame");
     assert_eq!((corpus.frame_count(), corpus.descriptor_count()), (frames + 1, descriptors + 2));
     let mut visited = 0;
-    accepted(corpus.visit(&mut |image| visited += image.len() as u64)).expect("the images that were counted");
+    let mut visit = |image: &[Descriptor]| {
+        visited += image.len() as u64;
+        ControlFlow::Continue(())
+    };
+    accepted(corpus.visit(&mut visit)).expect("the images that were counted");
     assert_eq!(visited, corpus.descriptor_count());
 }
 

@@ -140,6 +140,7 @@ pub(super) fn recognise(
 ) -> Result<RunSummary, PipelineError> {
     let mut summary = RunSummary::new(recogniser.has_cnn());
     let skipped = perceive(&mut |seen| {
+        let was_read_only = recogniser.is_read_only();
         let mut record = decide(&mut recogniser, seen);
         let mut failure = recogniser.take_map_failure();
         if shows_matched {
@@ -149,7 +150,7 @@ pub(super) fn recognise(
             }
         }
         if let Some(failure) = failure {
-            watcher.map_failed(&failure, !recogniser.is_read_only());
+            watcher.map_failed(&failure, recogniser.is_read_only() && !was_read_only);
             summary.map_failures += 1;
         }
         summary.count(&record);
@@ -158,7 +159,7 @@ pub(super) fn recognise(
         Ok(if is_heard { ControlFlow::Continue(()) } else { ControlFlow::Break(()) })
     })?;
     if let Err(failure) = recogniser.close() {
-        watcher.map_failed(&failure, false);
+        watcher.map_failed(&failure, true);
         summary.map_failures += 1;
     }
     summary.skipped = skipped;

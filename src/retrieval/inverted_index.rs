@@ -50,13 +50,12 @@ impl InvertedIndex {
     pub fn add(&mut self, bow: &BowVector) -> DocumentId {
         let reused = self.free.pop();
         let document = reused.unwrap_or(self.accumulators.len() as u32);
-        let postings =
-            bow.entries().iter().map(|&(word, weight)| (word, Posting { document, weight: weight as f32 }));
+        let postings = weights(bow).map(|(word, weight)| (word, Posting { document, weight }));
         if reused.is_some() {
             // Nothing is pending while numbers are free: what freed them has settled it.
             self.is_removed[document as usize] = false;
             for (word, posting) in postings {
-                let postings = self.postings.get_mut(word);
+                let postings = self.postings.with_room(word);
                 let position = postings.partition_point(|known| known.document < document);
                 postings.insert(position, posting);
             }
@@ -74,7 +73,7 @@ impl InvertedIndex {
     /// Puts what is pending into the lists.
     fn settle(&mut self) {
         for (word, posting) in gathered(std::mem::take(&mut self.pending)) {
-            self.postings.get_mut(word).push(posting);
+            self.postings.with_room(word).push(posting);
         }
     }
 
@@ -149,8 +148,7 @@ impl InvertedIndex {
         self.settle();
         let accumulators = self.accumulators.as_mut_slice();
         let mut touched = Vec::new();
-        for &(word, weight) in bow.entries() {
-            let weight = weight as f32;
+        for (word, weight) in weights(bow) {
             for posting in self.postings.get(word) {
                 let accumulator = &mut accumulators[posting.document as usize];
                 if *accumulator == 0.0 {
@@ -170,6 +168,11 @@ impl InvertedIndex {
         }
         best
     }
+}
+
+/// The words of an image that weigh something also in 32 bits.
+fn weights(bow: &BowVector) -> impl Iterator<Item = (WordId, f32)> {
+    bow.entries().iter().map(|&(word, weight)| (word, weight as f32)).filter(|&(_, weight)| weight > 0.0)
 }
 
 /// The same postings, those of nearby words together; those of one word stay in their order.
@@ -303,6 +306,15 @@ mod tests {
                 prop_assert!((score_by_definition(&bow(&query), &bow(words)) - expected).abs() < 1e-5);
             }
         }
+    }
+
+    #[test]
+    fn a_word_that_weighs_next_to_nothing_finds_no_image_twice() {
+        let bow = BowVector::weighted([(WordId(1), 1.0), (WordId(2), 1e-300)], Weighting::Idf);
+        let mut index = InvertedIndex::default();
+        index.add(&BowVector::weighted([(WordId(2), 1e-300), (WordId(3), 1.0)], Weighting::Idf));
+        let own = index.add(&bow);
+        assert_eq!(index.query(&bow, |_| true).as_slice(), [Retrieved { document: own, score: 1.0 }]);
     }
 
     #[test]

@@ -4,6 +4,8 @@ use crate::vocabulary::WordId;
 
 /// Words a page. A vocabulary has many more words than a small map shows, so pages are small.
 const PAGE_WORDS: usize = 32;
+/// Postings that a list has room for at least.
+const FEWEST_POSTINGS: usize = 4;
 
 /// That an image shows a word.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,6 +43,16 @@ impl PostingLists {
             self.pages.resize_with(page + 1, || None);
         }
         &mut self.pages[page].get_or_insert_default()[within]
+    }
+
+    /// The list of `word`, with room for one more posting.
+    pub(super) fn with_room(&mut self, word: WordId) -> &mut Vec<Posting> {
+        let postings = self.get_mut(word);
+        if postings.len() == postings.capacity() {
+            // By half: doubling would leave a third of all memory unused.
+            postings.reserve_exact(FEWEST_POSTINGS.max(postings.len() / 2));
+        }
+        postings
     }
 
     /// Keeps the postings that `wanted` accepts, and frees the memory of the others.

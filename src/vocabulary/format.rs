@@ -8,7 +8,7 @@
 //! | 36 | 4 | depth: most levels below the root, at most 16 |
 //! | 40 | 4 | n: nodes, the root included, at most 2²⁴ |
 //! | 44 | 4 | w: words |
-//! | 48 | 4 | images it was trained on; 0 if unknown |
+//! | 48 | 4 | images that its weights were learnt from; 0 if unknown |
 //! | 52 | 4 | weighting: 0 tf-idf, 1 tf, 2 idf, 3 binary |
 //! | 56 | 4 | f32: mean luminance of those images, 0 to 255; negative if unknown |
 //! | 60 | 4 | zero |
@@ -52,7 +52,7 @@ pub(super) struct Counts {
     pub(super) words: u32,
     pub(super) images: u32,
     pub(super) weighting: Weighting,
-    /// Mean luminance of the images it was trained on, 0 to 255.
+    /// Mean luminance of the images that its weights were learnt from, 0 to 255.
     pub(super) luminance: Option<f32>,
 }
 

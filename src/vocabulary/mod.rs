@@ -113,7 +113,7 @@ pub enum VocabularyError {
         reason: String,
     },
     /// A training was cut off, and another one wants its file.
-    #[error("{} is what a training of other images left behind: delete it", path.display())]
+    #[error("{} was left behind by a training of other images, or by another version of Loci: delete it", path.display())]
     OtherImages {
         /// The file.
         path: PathBuf,

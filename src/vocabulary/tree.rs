@@ -57,7 +57,7 @@ impl Vocabulary {
         Self::check(FileBytes::Owned(bytes), path)
     }
 
-    fn check(mut bytes: FileBytes, path: &Path) -> Result<Self, VocabularyError> {
+    pub(super) fn check(mut bytes: FileBytes, path: &Path) -> Result<Self, VocabularyError> {
         if let Some(format) = VocabularyFormat::of(&bytes[..bytes.len().min(FORMAT_BYTES)])
             && format != VocabularyFormat::Loci
         {
@@ -127,7 +127,7 @@ impl Vocabulary {
         self.counts.words
     }
 
-    /// Number of images that it was trained on; 0 if its source does not say.
+    /// Number of images that its weights were learnt from; 0 if its source does not say.
     #[must_use]
     pub fn image_count(&self) -> u32 {
         self.counts.images
@@ -139,7 +139,7 @@ impl Vocabulary {
         self.counts.weighting
     }
 
-    /// Mean luminance of the images that it was trained on, 0 to 255, if it is known.
+    /// Mean luminance of the images that its weights were learnt from, 0 to 255, if it is known.
     #[must_use]
     pub fn luminance(&self) -> Option<f32> {
         self.counts.luminance

@@ -126,7 +126,7 @@ fn a_training_does_not_go_on_with_the_file_of_another_one() {
         loci::vocabulary::TrainingFile::open(&folder.path().join("v.lvoc.training"), "other photos").unwrap(),
     );
     train("synthetic:street?laps=1&frames=2")
-        .assert_failed(1, &["v.lvoc.training is what a training of other images left behind: delete it\n"]);
+        .assert_failed(1, &["v.lvoc.training was left behind by a training of other images, or by another version of Loci: delete it\n"]);
     assert!(!out.exists());
 }
 
@@ -139,7 +139,11 @@ fn an_output_does_not_take_the_place_of_an_input() {
     fs::write(&video, b"frames").unwrap();
     let train = |source: &Path, out: &Path| loci(&["vocab", "train", text(source), "--out", text(out)]);
     let import = |file: &Path| loci(&["vocab", "import", text(file), "--out", text(file)]);
-    for run in [train(folder.path(), &image), train(&video, &video), import(&video)] {
+    let links = folder_with(&[]);
+    std::os::unix::fs::symlink(&image, links.path().join("1.jpg")).unwrap();
+    for run in
+        [train(folder.path(), &image), train(links.path(), &image), train(&video, &video), import(&video)]
+    {
         run.assert_failed(2, &["--out", "would replace an input; name another file"]);
     }
     assert_eq!((fs::read(image).unwrap(), fs::read(video).unwrap()), (picture, b"frames".to_vec()));
@@ -214,7 +218,7 @@ fn a_training_goes_on_beside_its_images_whatever_else_lies_there_and_not_with_ot
     fs::write(folder.path().join("notes.txt"), "the hall, by noon").unwrap();
     let added = folder.path().join("added.jpg");
     fs::write(&added, picture()).unwrap();
-    loci(&train).assert_failed(1, &["site.lvoc.training is what a training of other images left behind"]);
+    loci(&train).assert_failed(1, &["site.lvoc.training was left behind by a training of other images"]);
     fs::remove_file(added).unwrap();
     let resumed = loci(&train);
     assert_eq!(resumed.code, 0, "{}", resumed.stderr);

@@ -142,6 +142,26 @@ fn a_vocabulary_of_dbow2_is_imported_and_used() {
 }
 
 #[test]
+fn an_older_vocabulary_is_brought_up_to_date_and_one_by_which_nothing_is_found_is_pointed_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("new.lvoc");
+    let import = |file: &str| loci(&["vocab", "import", file, "--out", text(&out), "--json"]);
+    let imported = import("tests/data/vocabulary/version_1.lvoc");
+    assert_eq!((imported.code, imported.stderr.as_str()), (0, ""));
+    let bytes = std::fs::metadata(&out).unwrap().len();
+    assert_eq!(
+        (&imported.records()[0]["version"], &imported.records()[0]["bytes"]),
+        (&2.into(), &bytes.into())
+    );
+    let flat = folder.path().join("flat.txt");
+    let leaf = |byte: u8| format!("0 1{} 0\n", format!(" {byte}").repeat(32));
+    std::fs::write(&flat, format!("2 1 0 0\n{}{}", leaf(1), leaf(254))).unwrap();
+    let imported = import(text(&flat));
+    assert_eq!(imported.code, 0, "{}", imported.stderr);
+    assert!(imported.stderr.contains("no word of the file weighs anything"), "{}", imported.stderr);
+}
+
+#[test]
 fn a_vocabulary_without_weights_learns_them_from_images() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("orb.lvoc");

@@ -63,6 +63,8 @@ struct Report {
 
 /// Times a vocabulary on one thread.
 pub(super) fn run(arguments: &BenchArguments) -> anyhow::Result<Outcome> {
+    // Before the images, which take their time.
+    Vocabulary::open(&arguments.file)?;
     let (sets, outcome) = descriptor_sets(&arguments.images)?;
     let first = &sets[0][0];
     // Once before anything is measured: what the process itself needs for it is not the vocabulary's.

@@ -38,10 +38,11 @@ pub(super) fn extract(names: &[String], out: &Path, stop: &AtomicBool) -> anyhow
         eprintln!("loci: going on with the {} in {}", counted(known, "frame"), path.display());
     }
     let progress = progress_bar(announced.into_iter().sum(), "frames", ProgressDrawTarget::stderr());
-    let pictures = names.iter().flat_map(|name| pictures(name)).inspect(|_| progress.inc(1));
+    let mut pictures = names.iter().flat_map(|name| pictures(name)).inspect(|_| progress.inc(1));
+    (0..known).take_while(|_| !stop.load(Ordering::Relaxed)).for_each(|_| drop(pictures.next()));
     let extraction =
         Extraction { extractor: OrbExtractor::new(OrbOptions::default()), progress: &progress, stop };
-    extraction.run(pictures.skip(known as usize), &mut corpus)?;
+    extraction.run(pictures, &mut corpus)?;
     progress.finish_and_clear();
     if stop.load(Ordering::Relaxed) {
         return Err(explained(VocabularyError::Interrupted, &corpus, out));

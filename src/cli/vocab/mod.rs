@@ -101,18 +101,23 @@ pub(super) fn run(command: VocabCommand) -> anyhow::Result<Outcome> {
 fn import(arguments: &ImportArguments) -> anyhow::Result<Outcome> {
     let images = arguments.weights_from.iter().map(Path::new);
     check_output(&arguments.out, images.chain([arguments.file.as_path()]))?;
-    let (format, mut vocabulary) = vocabulary::import::import(&arguments.file)?;
-    let mut outcome = Outcome::Done;
-    if arguments.weights_from.is_empty() {
+    let (format, vocabulary) = vocabulary::import::import(&arguments.file)?;
+    let outcome = if arguments.weights_from.is_empty() {
         vocabulary.save(&arguments.out)?;
+        Outcome::Done
     } else {
-        (vocabulary, outcome) = weigh(&vocabulary, arguments)?;
-    }
+        weigh(&vocabulary, arguments)?
+    };
     if !arguments.json {
         say(&format!("imported    {} ({})", arguments.file.display(), format.as_str()))?;
     }
-    let info = describe(&vocabulary, arguments.out.display().to_string(), true);
-    if format == VocabularyFormat::Fbow && arguments.weights_from.is_empty() && info.weightless_words > 0 {
+    let info = describe_written(&arguments.out)?;
+    if info.weightless_words == info.words as usize {
+        eprintln!("loci: no word of the file weighs anything, so nothing is found by it: use --weights-from");
+    } else if format == VocabularyFormat::Fbow
+        && arguments.weights_from.is_empty()
+        && info.weightless_words > 0
+    {
         eprintln!(
             "loci: {} of the file without weight: FBoW loses up to four; --weights-from weighs them anew",
             counted(info.weightless_words, "word")
@@ -127,7 +132,7 @@ fn check_output<'a>(out: &Path, inputs: impl Iterator<Item = &'a Path>) -> anyho
     check_replaceable(out)?;
     let Ok(existing) = out.canonicalize() else { return Ok(()) };
     for input in inputs.filter_map(|input| input.canonicalize().ok()) {
-        if frame_files(&input).contains(&existing) {
+        if frame_files(&input).iter().any(|file| file.canonicalize().is_ok_and(|file| file == existing)) {
             let argument = format!("--out {}", out.display());
             return Err(WrongArgument(format!("{argument} would replace an input; name another file")).into());
         }
@@ -136,7 +141,7 @@ fn check_output<'a>(out: &Path, inputs: impl Iterator<Item = &'a Path>) -> anyho
 }
 
 /// Saves `vocabulary` with weights from the images that were named.
-fn weigh(vocabulary: &Vocabulary, arguments: &ImportArguments) -> anyhow::Result<(Vocabulary, Outcome)> {
+fn weigh(vocabulary: &Vocabulary, arguments: &ImportArguments) -> anyhow::Result<Outcome> {
     let stop = stop_flag()?;
     let corpus = extract(&arguments.weights_from, &arguments.out, &stop)?;
     let weighted = weigh_on(vocabulary, &corpus, &Progress::new(&stop));
@@ -149,7 +154,7 @@ fn weigh(vocabulary: &Vocabulary, arguments: &ImportArguments) -> anyhow::Result
     weighted.save(&arguments.out)?;
     let outcome = if corpus.frame_count() == corpus.image_count() { Outcome::Done } else { Outcome::Lost };
     corpus.remove()?;
-    Ok((weighted, outcome))
+    Ok(outcome)
 }
 
 fn info(arguments: &InfoArguments) -> anyhow::Result<Outcome> {
@@ -161,6 +166,13 @@ fn info(arguments: &InfoArguments) -> anyhow::Result<Outcome> {
     let verified = arguments.verify || vocabulary.version() == 1;
     print(&describe(&vocabulary, arguments.file.display().to_string(), verified), arguments.json)?;
     Ok(Outcome::Done)
+}
+
+/// The file that was just written, read anew.
+fn describe_written(path: &Path) -> anyhow::Result<Info> {
+    let written = Vocabulary::open(path)?;
+    written.verify(path)?;
+    Ok(describe(&written, path.display().to_string(), true))
 }
 
 fn describe(vocabulary: &Vocabulary, file: String, verified: bool) -> Info {
@@ -192,10 +204,10 @@ impl fmt::Display for Info {
         let (words, weightless) = (self.words, self.weightless_words);
         writeln!(f, "words       {words}, {weightless} of them without weight; {}", self.weighting)?;
         match (self.images, self.mean_luminance) {
-            (0, _) => writeln!(f, "trained on  unknown images")?,
-            (images, None) => writeln!(f, "trained on  {}", counted(images, "image"))?,
+            (0, _) => writeln!(f, "weighed on  unknown images")?,
+            (images, None) => writeln!(f, "weighed on  {}", counted(images, "image"))?,
             (images, Some(light)) => {
-                writeln!(f, "trained on  {} of mean luminance {light:.1}", counted(images, "image"))?;
+                writeln!(f, "weighed on  {} of mean luminance {light:.1}", counted(images, "image"))?;
             }
         }
         writeln!(f, "size        {} bytes, version {}", self.bytes, self.version)?;

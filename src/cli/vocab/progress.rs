@@ -27,9 +27,12 @@ impl TrainingWatcher for Progress<'_> {
             TrainingProgress::Growing { done, total } => (done, total, "descriptors sorted into the tree"),
             TrainingProgress::Weighing { done, total } => (done, total, "images weighed"),
         };
+        // Both at once, for the bar may be drawn at any time.
+        self.bar.update(|state| {
+            state.set_len(total);
+            state.set_pos(done);
+        });
         self.bar.set_message(unit);
-        self.bar.set_length(total);
-        self.bar.set_position(done);
     }
 
     fn goes_on(&self) -> bool {

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::extraction::extract;
 use super::progress::{Progress, explained};
-use super::{Info, check_output, describe};
+use super::{Info, check_output, describe_written};
 use crate::cli::Outcome;
 use crate::cli::console::say;
 use crate::cli::stream::stop_flag;
@@ -72,7 +72,8 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let trained = train_on(&corpus, options, &Progress::new(&stop));
     let trained = trained.map_err(|error| explained(error, &corpus, &arguments.out))?;
     trained.vocabulary.save(&arguments.out)?;
-    let report = report(arguments, &trained, corpus.frame_count() - corpus.image_count());
+    let written = describe_written(&arguments.out)?;
+    let report = report(written, &trained, corpus.frame_count() - corpus.image_count());
     corpus.remove()?;
     if report.vocabulary.weightless_words == report.vocabulary.words as usize {
         eprintln!("loci: {}", VocabularyError::NothingRare);
@@ -81,10 +82,10 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     Ok(if report.unreadable_frames == 0 { Outcome::Done } else { Outcome::Lost })
 }
 
-fn report(arguments: &TrainArguments, trained: &Trained, unreadable_frames: u64) -> Report {
+fn report(vocabulary: Info, trained: &Trained, unreadable_frames: u64) -> Report {
     let words = f64::from(trained.vocabulary.word_count());
     Report {
-        vocabulary: describe(&trained.vocabulary, arguments.out.display().to_string(), true),
+        vocabulary,
         unreadable_frames,
         descriptors: trained.descriptors,
         sampled_descriptors: trained.sampled_descriptors,

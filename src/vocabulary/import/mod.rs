@@ -108,7 +108,17 @@ impl Fault {
 /// # Errors
 /// If it cannot be read, is of no known kind, or does not hold what its kind says; the error says where.
 pub fn import(path: &Path) -> Result<(VocabularyFormat, Vocabulary), VocabularyError> {
-    from_bytes(&FileBytes::map(path)?, path)
+    let file = FileBytes::map(path)?;
+    match VocabularyFormat::of(&file) {
+        Some(VocabularyFormat::Loci) => own(file, path),
+        _ => from_bytes(&file, path),
+    }
+}
+
+fn own(file: FileBytes, path: &Path) -> Result<(VocabularyFormat, Vocabulary), VocabularyError> {
+    let vocabulary = Vocabulary::check(file, path)?;
+    vocabulary.verify(path)?;
+    Ok((VocabularyFormat::Loci, vocabulary))
 }
 
 /// The vocabulary in the bytes of a file; `path` only serves messages.
@@ -121,11 +131,7 @@ pub fn from_bytes(file: &[u8], path: &Path) -> Result<(VocabularyFormat, Vocabul
     }
     let format = VocabularyFormat::of(file);
     let tree = match format {
-        Some(VocabularyFormat::Loci) => {
-            let vocabulary = Vocabulary::from_bytes(file.to_vec(), path)?;
-            vocabulary.verify(path)?;
-            return Ok((VocabularyFormat::Loci, vocabulary));
-        }
+        Some(VocabularyFormat::Loci) => return own(FileBytes::Owned(file.to_vec()), path),
         Some(VocabularyFormat::Dbow3) => dbow3::read(file),
         Some(VocabularyFormat::Fbow) => fbow::read(file),
         Some(VocabularyFormat::OrbSlamText | VocabularyFormat::Dbow2Yaml) | None => {

@@ -5,6 +5,7 @@
 //! mean luminance (f32) and the descriptors (32 bytes each), or one zero byte for a frame that could not be
 //! read.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -31,11 +32,11 @@ pub trait Corpus {
     /// Mean luminance of all images, 0 to 255, if it is known.
     fn mean_luminance(&self) -> Option<f32>;
 
-    /// Shows the descriptors of every image, always in the same order.
+    /// Shows the descriptors of every image, always in the same order, until `visit` breaks off.
     ///
     /// # Errors
     /// If the medium fails.
-    fn visit(&self, visit: &mut dyn FnMut(&[Descriptor])) -> Result<(), VocabularyError>;
+    fn visit(&self, visit: &mut dyn FnMut(&[Descriptor]) -> ControlFlow<()>) -> Result<(), VocabularyError>;
 }
 
 /// Images in memory.
@@ -66,8 +67,8 @@ impl Corpus for MemoryCorpus<'_> {
         self.mean_luminance
     }
 
-    fn visit(&self, visit: &mut dyn FnMut(&[Descriptor])) -> Result<(), VocabularyError> {
-        self.images.iter().for_each(|image| visit(image));
+    fn visit(&self, visit: &mut dyn FnMut(&[Descriptor]) -> ControlFlow<()>) -> Result<(), VocabularyError> {
+        let _ = self.images.iter().try_for_each(|image| visit(image));
         Ok(())
     }
 }
@@ -206,11 +207,14 @@ impl Corpus for TrainingFile {
         (!self.images.is_empty()).then(|| (self.luminance_sum / self.images.len() as f64) as f32)
     }
 
-    fn visit(&self, visit: &mut dyn FnMut(&[Descriptor])) -> Result<(), VocabularyError> {
+    fn visit(&self, visit: &mut dyn FnMut(&[Descriptor]) -> ControlFlow<()>) -> Result<(), VocabularyError> {
         for &offset in &self.images {
             let (_, payload) = self.log.read(offset)?;
             let descriptors = payload.get(LUMINANCE_BYTES..).unwrap_or_default().as_chunks().0;
-            visit(&descriptors.iter().copied().map(Descriptor).collect::<Vec<Descriptor>>());
+            let descriptors: Vec<Descriptor> = descriptors.iter().copied().map(Descriptor).collect();
+            if visit(&descriptors).is_break() {
+                break;
+            }
         }
         Ok(())
     }
@@ -228,7 +232,11 @@ mod tests {
 
     fn visited(file: &TrainingFile) -> Vec<Vec<Descriptor>> {
         let mut images = Vec::new();
-        file.visit(&mut |image| images.push(image.to_vec())).unwrap();
+        file.visit(&mut |image| {
+            images.push(image.to_vec());
+            ControlFlow::Continue(())
+        })
+        .unwrap();
         images
     }
 
@@ -258,7 +266,7 @@ mod tests {
         let path = folder.path().join("t");
         drop(TrainingFile::open(&path, "photos").unwrap());
         let error = TrainingFile::open(&path, "videos").err().unwrap().to_string();
-        assert!(error.contains("of other images left behind: delete it"), "{error}");
+        assert!(error.contains("left behind by a training of other images"), "{error}");
     }
 
     #[test]

@@ -128,7 +128,7 @@ pub fn train_on(
 ) -> Result<Trained, VocabularyError> {
     let TrainingOptions { branching, depth, seed, most_descriptors } = options;
     options.check()?;
-    let sample = sample::draw(corpus, most_descriptors.min(MAX_SAMPLE), seed)?;
+    let sample = sample::draw(corpus, (most_descriptors.min(MAX_SAMPLE), seed), watcher)?;
     if sample.is_empty() {
         return Err(VocabularyError::NothingToLearn);
     }

@@ -1,5 +1,7 @@
 //! How often each word is seen, in how many images, and how well the words fit.
 
+use std::ops::ControlFlow;
+
 use rayon::prelude::*;
 
 use super::corpus::Corpus;
@@ -46,12 +48,13 @@ pub(super) fn count(
     };
     corpus.visit(&mut |image| {
         if !watcher.goes_on() {
-            return;
+            return ControlFlow::Break(());
         }
         batch.push(image.to_vec());
         if batch.len() == BATCH_IMAGES {
             count(&mut batch);
         }
+        ControlFlow::Continue(())
     })?;
     count(&mut batch);
     if watcher.goes_on() { Ok(statistics) } else { Err(VocabularyError::Interrupted) }
