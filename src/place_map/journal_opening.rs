@@ -316,10 +316,44 @@ mod tests {
         assert_only_read(map.path(), &format!("{last} is missing"));
     }
 
+    #[test]
+    fn wherever_between_two_records_a_journal_lost_its_end_it_is_not_written_while_its_snapshot_knows_more() {
+        // Of one segment, and of several of which old ones were emptied.
+        for (places, compacted) in [(0..5, false), (0..40, true)] {
+            let map = map_of(places);
+            if compacted {
+                PlaceMap::open(map.path(), UNSYNCED).unwrap().compact().unwrap();
+            }
+            let Position { segment, offset } = snapshot_of(map.path()).position;
+            let path = map.path().join(segment_name(segment));
+            let bytes = fs::read(&path).unwrap();
+            let mut ends = vec![0, 10];
+            let mut end = 16;
+            while end < offset as usize {
+                ends.push(end);
+                end += 28 + u32::from_le_bytes(bytes[end + 8..end + 12].try_into().unwrap()) as usize;
+            }
+            assert!(ends.len() > 4, "{ends:?}");
+            let snapshot = fs::read(map.path().join(snapshot::NAME)).unwrap();
+            for end in ends {
+                fs::write(&path, &bytes[..end]).unwrap();
+                fs::write(map.path().join(snapshot::NAME), &snapshot).unwrap();
+                let (name, end) = (segment_name(segment), end.max(16));
+                let reason = format!("{name} ends after {end} bytes, but had {offset} when it was taken");
+                // What was written again by compacting makes no sense without what followed.
+                if compacted {
+                    assert!(refusal(map.path()).contains(&reason), "{end}");
+                } else {
+                    assert_only_read(map.path(), &reason);
+                }
+            }
+        }
+    }
+
     /// Asserts that the map is not written since its snapshot knows more, but read without it.
     fn assert_only_read(folder: &Path, reason: &str) {
         let snapshot = folder.join(snapshot::NAME);
-        let fix = "delete it to go on with what the journal has";
+        let fix = "delete the snapshot to go on with what the journal has";
         let said = format!("{} knows more than the journal beside it: {reason}; {fix}", snapshot.display());
         assert_eq!(refusal(folder), said);
         let read = PlaceMap::open_read_only(folder).unwrap();

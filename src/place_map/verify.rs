@@ -169,6 +169,8 @@ struct Verifier<'a> {
     replayed: Contents,
     shortcut: Option<Shortcut>,
     doubt: Option<Doubt>,
+    /// A segment that ends before the snapshot was taken there, with the byte and what is to be said, if that is damage.
+    lost_end: Option<(PathBuf, u64, String)>,
     /// A writer got in the way.
     was_disturbed: bool,
 }
@@ -182,6 +184,7 @@ impl<'a> Verifier<'a> {
             replayed: Contents::default(),
             shortcut: None,
             doubt: None,
+            lost_end: None,
             was_disturbed: false,
         };
         // First, so that the journal is at least as new.
@@ -281,7 +284,7 @@ impl<'a> Verifier<'a> {
         } else if stood.segment == segment.number && end < stood.offset {
             let reason =
                 format!("the segment ends here, but had {} bytes when the snapshot was taken", stood.offset);
-            self.found.add_damage(segment.path.clone(), Some(end), reason);
+            self.lost_end = Some((segment.path.clone(), end, reason));
         }
         if let Some(shortcut) = &mut self.shortcut {
             shortcut.follow(Position { segment: segment.number, offset: end }, None, 0);
@@ -325,7 +328,7 @@ impl<'a> Verifier<'a> {
             missing.or((!is_past && !is_there(&position.segment)).then_some(position.segment))
         {
             self.doubt = Some(Doubt::Missing(self.path_of(number)));
-        } else if self.found.is_damaged() {
+        } else if self.found.is_damaged() || self.lost_end.is_some() {
             // With what remains of the journal, any snapshot would differ.
         } else if !is_past && !is_anchored {
             let Position { segment, offset } = position;
@@ -343,11 +346,17 @@ impl<'a> Verifier<'a> {
 
     /// Opens the map if anything is wrong: so what is said of it is what everybody hears who opens it.
     fn open(&mut self) {
-        if self.doubt.is_none() && !self.found.is_damaged() {
+        if self.doubt.is_none() && !self.found.is_damaged() && self.lost_end.is_none() {
             return;
         }
         let opened = PlaceMap::open_read_only(self.folder.path());
         let fault = opened.as_ref().ok().and_then(PlaceMap::snapshot_fault);
+        // A snapshot of another map says nothing of where this one's segments end.
+        if !matches!(fault, Some(StorageError::Useless { .. }))
+            && let Some((segment, end, reason)) = self.lost_end.take()
+        {
+            self.found.add_damage(segment, Some(end), reason);
+        }
         if let Some(ahead @ StorageError::Ahead { .. }) = fault {
             self.found.refusal = Some(ahead.to_string());
             return;
@@ -643,7 +652,9 @@ mod tests {
         let mut rounds = 0;
         while !writer.is_finished() {
             let found = verified(folder.path());
-            assert_eq!(found.problems, [], "round {rounds}");
+            // A busy machine may halt the writer in the midst of a record.
+            let is_sound = found.problems.iter().all(|problem| problem.is_torn_tail);
+            assert!(is_sound, "round {rounds}: {:?}", found.problems);
             rounds += 1;
         }
         writer.join().unwrap();

@@ -77,16 +77,25 @@ impl Journal {
     }
 
     /// What the segment says in which `snapshot` was taken, or the one before if nothing is in that one yet; `None` if
-    /// that cannot be told, since the segment is gone, damaged or of version 1, or no record ends there.
+    /// that cannot be told, since the segment is gone, damaged or of version 1, no record ends there, or it lost all that
+    /// the snapshot speaks of.
     fn retelling(&self, snapshot: &Snapshot) -> Result<Option<Testimony>, StorageError> {
         let Position { segment, offset } = snapshot.position;
         let (number, until) =
             if offset > LOG_HEADER_BYTES { (segment, offset) } else { (segment.saturating_sub(1), u64::MAX) };
         let Some(Segment::Log(log)) = self.segments.get(&number) else { return Ok(None) };
-        let retold = match Retold::read(log, number, until.min(log.length_bytes())) {
+        let end = Location::new(number, log.length_bytes());
+        let retold = match Retold::read(log, number, until.min(end.offset())) {
             Err(StorageError::Damaged { .. }) => return Ok(None),
             retold => retold?,
         };
+        if number == segment && until > end.offset() {
+            return Ok(match retold.agreement(&snapshot.contents, end) {
+                Err(reason) => Some(Testimony::Other(reason)),
+                Ok(true) => Some(Testimony::Same { boundary: None }),
+                Ok(false) => None,
+            });
+        }
         let boundary = (number == segment).then_some(offset);
         let testimony = retold.difference(&snapshot.contents, number).map(Testimony::Other);
         Ok(Some(testimony.unwrap_or(Testimony::Same { boundary })))
@@ -151,6 +160,35 @@ impl Retold {
         let wanted = |envelope| envelope != FEATURES && envelope != THUMBNAIL;
         log.reread(until, Reading { from: 0, wanted, visit: &mut visit })?;
         Ok(Self { contents, given_up })
+    }
+
+    /// Whether `known`, which knows more than this beginning of a segment up to `end`, says the same of anything that it
+    /// speaks of; what it says otherwise, if no record behind `end` can explain that.
+    fn agreement(&self, known: &Contents, end: Location) -> Result<bool, String> {
+        let mut agrees = false;
+        for (id, place) in &self.contents.places {
+            match known.places.get(id) {
+                Some(known) if (known.location, known.record()) == (place.location, place.record()) => {
+                    agrees = true
+                }
+                Some(known) if known.location >= end => {}
+                _ => return Err(format!("it says otherwise of place {}", id.0)),
+            }
+        }
+        for (id, said) in &self.contents.experiences {
+            let facts = |e: &Experience| (e.location, e.learnt_as, e.view);
+            match known.experiences.get(id) {
+                Some(known) if facts(known) == facts(said) => agrees = true,
+                Some(known) if known.location >= end => {}
+                // It may have been given up since.
+                None if id.0 < known.next_experience => {}
+                _ => return Err(format!("it says otherwise of experience {}", id.0)),
+            }
+        }
+        match self.given_up.iter().find(|id| known.experiences.contains_key(id)) {
+            Some(id) => Err(format!("it says otherwise of experience {}", id.0)),
+            None => Ok(agrees),
+        }
     }
 
     /// What `known` says otherwise of what this part of the segment `number` speaks of.

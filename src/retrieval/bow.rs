@@ -12,6 +12,9 @@ impl BowVector {
     /// The vector of an image that shows `words`, weighted as `vocabulary` says.
     #[must_use]
     pub fn new(words: impl IntoIterator<Item = WordId>, vocabulary: &Vocabulary) -> Self {
+        let mut words: Vec<WordId> = words.into_iter().collect();
+        // Sorted without their weights, which then are read in the order in which they lie.
+        words.sort_unstable();
         let weights = vocabulary.weights();
         let words = words.into_iter().map(|word| (word, weights.of(word)));
         Self::weighted(words, vocabulary.weighting())

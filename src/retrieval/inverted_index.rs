@@ -22,7 +22,8 @@ pub struct Retrieved {
     pub score: f32,
 }
 
-/// Postings that wait at most, while many images are added in a row: with 12 bytes each 6 MiB.
+/// Postings that wait at most, while many images are added in a row: 12 bytes each, and as many again while they are
+/// gathered.
 const MOST_PENDING: usize = if cfg!(test) { 50 } else { 1 << 19 };
 /// Share of the documents, and fewest, that may be removed before their postings are swept out.
 const SWEEP_SHARE: usize = 8;
@@ -112,12 +113,8 @@ impl InvertedIndex {
     /// is as if they had been one from the start; where they do not (idf, binary), such an image counts it twice.
     pub fn merge(&mut self, word: WordId, other: WordId) {
         self.settle();
-        if !self.shows(word) {
-            return;
-        }
-        let moved = std::mem::take(self.postings.get_mut(word));
-        let postings = self.postings.get_mut(other);
-        for posting in moved {
+        for posting in self.postings.take(word) {
+            let postings = self.postings.with_room(other);
             match postings.binary_search_by_key(&posting.document, |known| known.document) {
                 Ok(position) => postings[position].weight += posting.weight,
                 Err(position) => postings.insert(position, posting),

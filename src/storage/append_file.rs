@@ -66,6 +66,10 @@ impl DiskFile {
     /// # Errors
     /// If the file cannot be opened so.
     pub fn open(path: &Path, writable: bool) -> io::Result<Self> {
+        if path.metadata().is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir()) {
+            // Opening a named pipe would wait for somebody at its other end.
+            return Err(io::Error::other("not a regular file"));
+        }
         let mut options = File::options();
         options.read(true);
         if writable {

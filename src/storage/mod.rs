@@ -91,7 +91,7 @@ pub enum StorageError {
     },
     /// The journal may have lost what had been on the medium when its snapshot was taken.
     #[error(
-        "{} knows more than the journal beside it: {reason}; delete it to go on with what the journal has",
+        "{} knows more than the journal beside it: {reason}; delete the snapshot to go on with what the journal has",
         path.display()
     )]
     Ahead {
