@@ -169,7 +169,7 @@ struct Verifier<'a> {
     replayed: Contents,
     shortcut: Option<Shortcut>,
     doubt: Option<Doubt>,
-    /// A segment that ends before the snapshot was taken there, with the byte and what is to be said, if that is damage.
+    /// A segment that ends, at that byte, before the snapshot was taken; and what is to be said if that is damage.
     lost_end: Option<(PathBuf, u64, String)>,
     /// A writer got in the way.
     was_disturbed: bool,
@@ -332,8 +332,8 @@ impl<'a> Verifier<'a> {
             // With what remains of the journal, any snapshot would differ.
         } else if !is_past && !is_anchored {
             let Position { segment, offset } = position;
-            let name = segment_name(segment);
-            let reason = format!("it was taken at byte {offset} of {name}, where no record begins");
+            let segment = segment_name(segment);
+            let reason = format!("it was taken at byte {offset} of {segment}, where no record begins");
             self.doubt = Some(Doubt::Otherwise(reason));
         } else {
             self.doubt =
@@ -371,11 +371,8 @@ impl<'a> Verifier<'a> {
                 (SnapshotState::Wrong, fault)
             }
             (Some(Doubt::Missing(segment)), None) => {
-                return self.found.add_damage(
-                    segment,
-                    None,
-                    "the segment is missing, the snapshot speaks of it",
-                );
+                let reason = "the segment is missing, the snapshot speaks of it";
+                return self.found.add_damage(segment, None, reason);
             }
             (None, None) => return,
         };

@@ -77,8 +77,8 @@ impl Journal {
     }
 
     /// What the segment says in which `snapshot` was taken, or the one before if nothing is in that one yet; `None` if
-    /// that cannot be told, since the segment is gone, damaged or of version 1, no record ends there, or it lost all that
-    /// the snapshot speaks of.
+    /// that cannot be told, since the segment is gone, damaged or of version 1, no record ends there, or it lost all
+    /// that the snapshot speaks of.
     fn retelling(&self, snapshot: &Snapshot) -> Result<Option<Testimony>, StorageError> {
         let Position { segment, offset } = snapshot.position;
         let (number, until) =
@@ -162,8 +162,8 @@ impl Retold {
         Ok(Self { contents, given_up })
     }
 
-    /// Whether `known`, which knows more than this beginning of a segment up to `end`, says the same of anything that it
-    /// speaks of; what it says otherwise, if no record behind `end` can explain that.
+    /// Whether `known`, which knows more than this beginning of a segment up to `end`, says the same of anything that
+    /// it speaks of; what it says otherwise, if no record behind `end` can explain that.
     fn agreement(&self, known: &Contents, end: Location) -> Result<bool, String> {
         let mut agrees = false;
         for (id, place) in &self.contents.places {

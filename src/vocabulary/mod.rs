@@ -113,7 +113,10 @@ pub enum VocabularyError {
         reason: String,
     },
     /// A training was cut off, and another one wants its file.
-    #[error("{} was left behind by a training of other images, or by another version of Loci: delete it", path.display())]
+    #[error(
+        "{} was left behind by a training of other images, or by another version of Loci: delete it",
+        path.display()
+    )]
     OtherImages {
         /// The file.
         path: PathBuf,
