@@ -108,8 +108,8 @@ impl Watcher for Reporter {
         self.progress.suspend(|| eprintln!("loci: {frame_name}: {error}; decided by BoW+HV alone"));
     }
 
-    fn map_failed(&self, failure: &MapError, ends_learning: bool) {
-        let consequence = if ends_learning { "; going on read-only, nothing more is learnt" } else { "" };
+    fn map_failed(&self, failure: &MapError, goes_on_learning: bool) {
+        let consequence = if goes_on_learning { "" } else { "; going on read-only, nothing more is learnt" };
         self.progress.suspend(|| eprintln!("loci: {failure}{consequence}"));
     }
 

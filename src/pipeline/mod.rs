@@ -49,8 +49,8 @@ pub trait Watcher: Sync {
     fn skipped(&self, error: &SourceError);
     /// The CNN failed on a frame, which BoW+HV then decided alone.
     fn cnn_failed(&self, frame_name: &str, error: &CnnError);
-    /// The map could not be read or changed; if that `ends_learning`, it is only read from here on.
-    fn map_failed(&self, failure: &MapError, ends_learning: bool);
+    /// The map could not be read or changed; unless the robot `goes_on_learning`, it is only read from here on.
+    fn map_failed(&self, failure: &MapError, goes_on_learning: bool);
     /// A frame was looked at.
     fn seen(&self, _seen: &Seen) {}
     /// A frame was decided.

@@ -140,7 +140,6 @@ pub(super) fn recognise(
 ) -> Result<RunSummary, PipelineError> {
     let mut summary = RunSummary::new(recogniser.has_cnn());
     let skipped = perceive(&mut |seen| {
-        let was_read_only = recogniser.is_read_only();
         let mut record = decide(&mut recogniser, seen);
         let mut failure = recogniser.take_map_failure();
         if shows_matched {
@@ -150,7 +149,7 @@ pub(super) fn recognise(
             }
         }
         if let Some(failure) = failure {
-            watcher.map_failed(&failure, recogniser.is_read_only() && !was_read_only);
+            watcher.map_failed(&failure, !recogniser.is_read_only());
             summary.map_failures += 1;
         }
         summary.count(&record);
@@ -159,7 +158,7 @@ pub(super) fn recognise(
         Ok(if is_heard { ControlFlow::Continue(()) } else { ControlFlow::Break(()) })
     })?;
     if let Err(failure) = recogniser.close() {
-        watcher.map_failed(&failure, true);
+        watcher.map_failed(&failure, false);
         summary.map_failures += 1;
     }
     summary.skipped = skipped;
