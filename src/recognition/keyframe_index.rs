@@ -21,7 +21,7 @@ pub(super) struct RetrievedKeyframe {
 }
 
 /// Memory of a posting, with what lists keep in reserve.
-const POSTING_BYTES: usize = 10;
+const POSTING_BYTES: usize = 12;
 /// Memory of a keyframe besides its postings.
 const KEYFRAME_BYTES: usize = 48;
 

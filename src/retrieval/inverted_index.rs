@@ -56,7 +56,7 @@ impl InvertedIndex {
             // Nothing is pending while numbers are free: what freed them has settled it.
             self.is_removed[document as usize] = false;
             for (word, posting) in postings {
-                let postings = self.postings.with_room(word);
+                let postings = self.postings.get_mut(word);
                 let position = postings.partition_point(|known| known.document < document);
                 postings.insert(position, posting);
             }
@@ -74,7 +74,7 @@ impl InvertedIndex {
     /// Puts what is pending into the lists.
     fn settle(&mut self) {
         for (word, posting) in gathered(std::mem::take(&mut self.pending)) {
-            self.postings.with_room(word).push(posting);
+            self.postings.get_mut(word).push(posting);
         }
     }
 
@@ -114,7 +114,7 @@ impl InvertedIndex {
     pub fn merge(&mut self, word: WordId, other: WordId) {
         self.settle();
         for posting in self.postings.take(word) {
-            let postings = self.postings.with_room(other);
+            let postings = self.postings.get_mut(other);
             match postings.binary_search_by_key(&posting.document, |known| known.document) {
                 Ok(position) => postings[position].weight += posting.weight,
                 Err(position) => postings.insert(position, posting),

@@ -6,8 +6,6 @@ use crate::vocabulary::WordId;
 const PAGE_WORDS: usize = 8;
 /// Pages a chapter.
 const CHAPTER_PAGES: usize = 1024;
-/// Postings that a list has room for at least.
-const FEWEST_POSTINGS: usize = 4;
 
 /// That an image shows a word.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,16 +66,6 @@ impl PostingLists {
         taken
     }
 
-    /// The list of `word`, with room for one more posting.
-    pub(super) fn with_room(&mut self, word: WordId) -> &mut Vec<Posting> {
-        let postings = self.get_mut(word);
-        if postings.len() == postings.capacity() {
-            // By half: doubling would leave a third of all memory unused.
-            postings.reserve_exact(FEWEST_POSTINGS.max(postings.len() / 2));
-        }
-        postings
-    }
-
     /// Keeps the postings that `wanted` accepts, and frees the memory of the others.
     pub(super) fn retain(&mut self, wanted: impl Fn(Posting) -> bool) {
         for chapter in &mut self.chapters {
@@ -105,12 +93,12 @@ mod tests {
             lists.chapters.iter().flatten().map(|chapter| chapter.iter().flatten().count()).sum::<usize>()
         };
         for word in (0..100_000).map(WordId) {
-            lists.with_room(word).push(posting);
+            lists.get_mut(word).push(posting);
             assert_eq!(lists.take(word), [posting]);
             assert!(lists.take(word).is_empty() && lists.get(word).is_empty());
         }
         assert_eq!(pages(&lists), 0);
-        (0..100_000).map(WordId).for_each(|word| lists.with_room(word).push(posting));
+        (0..100_000).map(WordId).for_each(|word| lists.get_mut(word).push(posting));
         assert_eq!(pages(&lists), 100_000 / PAGE_WORDS);
         lists.retain(|_| false);
         assert!(lists.chapters.iter().all(Option::is_none));
