@@ -25,7 +25,7 @@ test-data: deps ## Tests on real sequences, found by LOCI_DATA
 test-large: ## A training from a hundred million descriptors, its memory measured: minutes, and 3.3 GB of disk
 	$(CARGO) test --release --no-default-features --test large_training -- --ignored --nocapture
 
-test-crash: ## Runs killed 540 times; what they had answered must be in their maps: minutes
+test-crash: ## Runs killed 580 times; what they had answered must be in their maps: minutes
 	$(CARGO) test --release --no-default-features --features cli --test crash -- --ignored --nocapture
 
 soak: ## A million frames, or LOCI_SOAK_FRAMES; memory must stay flat: a quarter of an hour

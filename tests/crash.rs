@@ -12,6 +12,7 @@ use std::io::{BufRead, BufReader};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdout, Command, Stdio};
+use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -22,12 +23,14 @@ use rand_pcg::Pcg64;
 use serde_json::Value;
 
 const DURABILITIES: [&str; 3] = ["every", "interval=200ms", "none"];
-const LIVES: usize = 20;
+const LIVES: usize = 24;
 const WORLDS: u64 = 6;
-const FRAMES_A_WORLD: u32 = 60;
-/// Shares of an undisturbed run: when it has begun to answer, and when the latest kill comes.
+const FRAMES_A_WORLD: usize = 60;
+/// Shares of an undisturbed run: when it has begun to answer, and when it is about to end.
 const STARTED: f64 = 0.1;
-const HALF_WAY: f64 = 0.5;
+const ENDING: f64 = 0.9;
+/// Within so long after its last answer a run closes its map.
+const CLOSING: Duration = Duration::from_millis(10);
 const SLOWEST_RECOVERY: Duration = Duration::from_secs(1);
 /// Experiences of a place that is full.
 const FULL_PLACE: usize = 100;
@@ -54,7 +57,7 @@ impl Budget {
     fn disk_mib(self) -> u64 {
         match self {
             Self::Ample => 16,
-            Self::Small => 2,
+            Self::Small => 3,
         }
     }
 
@@ -66,6 +69,37 @@ impl Budget {
     /// giving up just freed.
     fn is_near(self, live_bytes: u64) -> bool {
         self == Self::Small && live_bytes + (256 << 10) > (self.disk_mib() << 20) * 7 / 10
+    }
+}
+
+/// When a run is killed.
+enum Moment {
+    /// So long after its start.
+    After(Duration),
+    /// So long after its last answer.
+    Closing(Duration),
+}
+
+impl Moment {
+    /// A third of them hit the start and the recovery, a sixth the closing of the map, the others the run.
+    fn draw(random: &mut Pcg64, undisturbed: Duration) -> Self {
+        let share = match random.random_range(0..6) {
+            0 | 1 => random.random_range(0.0..STARTED),
+            2 => return Self::Closing(CLOSING.mul_f64(random.random())),
+            _ => random.random_range(STARTED..ENDING),
+        };
+        Self::After(undisturbed.mul_f64(share))
+    }
+
+    /// Waits for it; `answers` hears of every answer, and of the end of the run.
+    fn wait(self, answers: &Receiver<()>) {
+        match self {
+            Self::After(delay) => thread::sleep(delay),
+            Self::Closing(delay) => {
+                for _ in answers.iter().take(FRAMES_A_WORLD) {}
+                thread::sleep(delay);
+            }
+        }
     }
 }
 
@@ -85,6 +119,8 @@ struct Row {
 /// What the maps went through while they were killed.
 #[derive(Default)]
 struct Events {
+    /// Kills after the last frame was answered.
+    closings: usize,
     torn_tails: usize,
     snapshots: usize,
     deleted_segments: usize,
@@ -124,8 +160,9 @@ fn recording(folder: &Path, seed: u64) -> PathBuf {
     recording
 }
 
-/// The whole lines that a process wrote before it ended; one that was cut off acknowledges nothing.
-fn whole_lines(output: ChildStdout) -> Vec<Value> {
+/// The whole lines that a process wrote before it ended, each of which is `told`; one that was cut off acknowledges
+/// nothing.
+fn whole_lines(output: ChildStdout, told: &Sender<()>) -> Vec<Value> {
     let mut output = BufReader::new(output);
     let mut lines = Vec::new();
     loop {
@@ -135,6 +172,8 @@ fn whole_lines(output: ChildStdout) -> Vec<Value> {
             return lines;
         }
         lines.push(serde_json::from_slice(&line).unwrap());
+        // Nobody listens when the moment of the kill has come.
+        let _ = told.send(());
     }
 }
 
@@ -162,12 +201,12 @@ fn undisturbed(recording: &Path) -> Duration {
     durations[1]
 }
 
-/// Runs `loci` on `recording`, kills it after `delay`, and answers what it acknowledged and whether the kill came
+/// Runs `loci` on `recording`, kills it at `moment`, and answers what it acknowledged and whether the kill came
 /// before the end; what it complained of goes to `complaints`.
 fn killed_run(
     (recording, life): (&Path, &Life),
     durability: &str,
-    delay: Duration,
+    moment: Moment,
     complaints: &mut Vec<String>,
 ) -> (Vec<Value>, bool) {
     let nowhere = tempfile::tempdir().unwrap();
@@ -177,8 +216,9 @@ fn killed_run(
     command.stdout(Stdio::piped()).stderr(File::create(&errors).unwrap());
     let mut process = command.spawn().unwrap();
     let output = process.stdout.take().unwrap();
-    let reader = thread::spawn(|| whole_lines(output));
-    thread::sleep(delay);
+    let (told, answers) = mpsc::channel();
+    let reader = thread::spawn(move || whole_lines(output, &told));
+    moment.wait(&answers);
     process.kill().unwrap();
     let status = process.wait().unwrap();
     let lines = reader.join().unwrap();
@@ -188,8 +228,11 @@ fn killed_run(
         complaints.push(format!("a run ended by itself with {status}: {errors}"));
     }
     if is_killed {
-        let harmless = |line: &&str| !line.contains("NO CNN") && !line.contains("last record was torn");
-        complaints.extend(errors.lines().filter(harmless).map(str::to_owned));
+        // What a run says once it is over is no complaint.
+        let complaint = |line: &&str| {
+            line.starts_with("loci: ") && !line.contains("NO CNN") && !line.contains("last record was torn")
+        };
+        complaints.extend(errors.lines().filter(complaint).map(str::to_owned));
     }
     (lines, is_killed)
 }
@@ -284,14 +327,11 @@ impl Trial {
     fn live(&mut self, life: &mut Life) {
         for _ in 0..life.budget.kills() {
             let turn = self.kills() % DURABILITIES.len();
-            // A third of the kills hit the start and the recovery, the others the run.
-            let share = match self.random.random_range(0..3) {
-                0 => self.random.random_range(0.0..STARTED),
-                _ => self.random.random_range(STARTED..HALF_WAY),
-            };
+            let moment = Moment::draw(&mut self.random, self.undisturbed);
             let recording = &self.recordings[self.random.random_range(0..self.recordings.len())];
-            let (delay, complaints) = (self.undisturbed.mul_f64(share), &mut self.events.complaints);
-            let (lines, is_killed) = killed_run((recording, life), DURABILITIES[turn], delay, complaints);
+            let complaints = &mut self.events.complaints;
+            let (lines, is_killed) = killed_run((recording, life), DURABILITIES[turn], moment, complaints);
+            self.events.closings += usize::from(is_killed && lines.len() == FRAMES_A_WORLD);
             let row = &mut self.rows[turn];
             row.kills += usize::from(is_killed);
             row.killed_before_first_frame += usize::from(lines.is_empty());
@@ -373,9 +413,9 @@ fn what_a_killed_run_acknowledged_is_never_lost() {
     let Trial { rows, events, .. } = &trial;
     println!("{}", table(rows));
     println!(
-        "{LIVES} maps: {} torn tails cut off, {} maps with a snapshot, {} whose first segment was emptied and deleted, \
+        "{LIVES} maps: {} kills behind the last frame, {} torn tails cut off, {} maps with a snapshot, {} whose first segment was emptied and deleted, \
          {} acknowledged experiences given up for the budget",
-        events.torn_tails, events.snapshots, events.deleted_segments, events.given_up
+        events.closings, events.torn_tails, events.snapshots, events.deleted_segments, events.given_up
     );
     assert!(events.complaints.is_empty(), "{:#?}", events.complaints);
     assert!(rows.iter().all(|row| row.lost + row.unopened == 0), "something was lost");
@@ -383,4 +423,5 @@ fn what_a_killed_run_acknowledged_is_never_lost() {
     assert!(trial.kills() >= 500 && rows.iter().all(|row| row.experiences >= 200), "too little was tried");
     assert!(events.snapshots == LIVES && events.deleted_segments > 0, "maps were not old enough");
     assert!(events.given_up > 0, "nothing was given up");
+    assert!(events.closings > 20, "no map was being closed");
 }

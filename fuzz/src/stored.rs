@@ -11,8 +11,8 @@ use loci::frame::Frame;
 use loci::place_map::{MapError, MapOptions, NewExperience, PlaceMap};
 use loci::raster::{GreyImage, RgbImage};
 use loci::storage::{
-    AppendFile, Envelope, FileKind, HEADER_BYTES, MemoryFile, Reading, RecordLog, StorageError, Tail,
-    checksum,
+    AppendFile, Envelope, FileKind, HEADER_BYTES, LogIdentity, MemoryFile, Reading, RecordLog, StorageError,
+    Tail, checksum,
 };
 use loci::vocabulary::{Corpus, CorpusImage, TrainingFile, Vocabulary, WordId, import};
 
@@ -233,7 +233,12 @@ fn second_journal(bytes: &[u8]) -> Vec<u8> {
 fn written(kind: &FileKind, records: &[(Envelope, &[u8])]) -> Vec<u8> {
     let file = Arc::new(MemoryFile::default());
     let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
-    let opened = RecordLog::open(file.clone(), (kind, Path::new("log")), Tail::Mended, reading);
+    let opened = RecordLog::open(
+        file.clone(),
+        LogIdentity { kind, number: 0, path: Path::new("log") },
+        Tail::Mended,
+        reading,
+    );
     let (mut log, _) = opened.expect("an empty log");
     log.append(records).expect("records");
     let mut bytes = vec![0; file.length_bytes().expect("a length") as usize];

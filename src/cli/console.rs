@@ -62,14 +62,17 @@ impl<W: Write + Send> RecognitionSink for HumanLines<W> {
 /// Reports on stderr what happens while a stream runs.
 pub(super) struct Reporter {
     progress: ProgressBar,
+    /// Whether the run was asked to learn.
+    is_learning: bool,
 }
 
 impl Reporter {
-    /// A reporter with a progress bar over `frames`, if stderr is a terminal that nothing else fills.
-    pub(super) fn new(frames: Option<u64>, lines_on_stdout: bool) -> Self {
+    /// A reporter, of a run that is to learn or not, with a progress bar over `frames` if stderr is a terminal that
+    /// nothing else fills.
+    pub(super) fn new(frames: Option<u64>, lines_on_stdout: bool, is_learning: bool) -> Self {
         let hidden = lines_on_stdout && io::stdout().is_terminal();
         let target = if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        Self { progress: progress_bar(frames, "frames", target) }
+        Self { progress: progress_bar(frames, "frames", target), is_learning }
     }
 
     /// Clears the progress bar.
@@ -109,7 +112,8 @@ impl Watcher for Reporter {
     }
 
     fn map_failed(&self, failure: &MapError, goes_on_learning: bool) {
-        let consequence = if goes_on_learning { "" } else { "; going on read-only, nothing more is learnt" };
+        let is_turn = self.is_learning && !goes_on_learning;
+        let consequence = if is_turn { "; going on read-only, nothing more is learnt" } else { "" };
         self.progress.suspend(|| eprintln!("loci: {failure}{consequence}"));
     }
 

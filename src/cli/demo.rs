@@ -43,7 +43,7 @@ pub(super) fn run(arguments: DemoArguments) -> anyhow::Result<Outcome> {
     let pipeline = stream::pipeline(WORLD, &settings, sinks)?;
     let frames = pipeline.source.frame_count();
     eprintln!("loci: driving two laps of a street that exists only in this program …");
-    let reporter = Reporter::new(frames, false);
+    let reporter = Reporter::new(frames, false, true);
     let summary = pipeline.run(&stop, &reporter)?;
     reporter.finish();
     let score = score.lock().unwrap_or_else(std::sync::PoisonError::into_inner);

@@ -43,7 +43,7 @@ pub(super) fn run(arguments: RunArguments) -> anyhow::Result<Outcome> {
     if settings.map.is_none() {
         eprintln!("loci: no --map: what is learnt is gone at the end");
     }
-    let reporter = Reporter::new(pipeline.source.frame_count(), true);
+    let reporter = Reporter::new(pipeline.source.frame_count(), true, settings.read_only != Some(true));
     let summary = pipeline.run(&stop, &reporter)?;
     reporter.finish();
     eprintln!("{}", summary_text(&summary));

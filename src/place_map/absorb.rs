@@ -30,7 +30,7 @@ impl Loss {
 
     fn told(self) -> Option<MapError> {
         let Self { experiences, thumbnails, first } = self;
-        first.map(|first| MapError::GaveUp { experiences, keyframes: 0, thumbnails, first })
+        first.map(|first| MapError::GaveUp { experiences, keyframes: 0, thumbnails, records: 0, first })
     }
 }
 
@@ -123,8 +123,7 @@ mod tests {
 
     use super::*;
     use crate::place_map::ExperienceId;
-    use crate::place_map::format::KIND;
-    use crate::place_map::journal::segment_name;
+    use crate::place_map::journal::{segment_identity, segment_name};
     use crate::place_map::tests::{SMALL, found, knowledge};
     use crate::storage::{Folder, MemoryFolder, RecordLog, Surveyed};
 
@@ -139,7 +138,7 @@ mod tests {
         }
         let file = folder.open(&segment_name(1), true).unwrap();
         let (mut thumbnails, mut features) = (Vec::new(), Vec::new());
-        RecordLog::survey(file.clone(), (&KIND, Path::new("journal")), 0, &mut |surveyed| {
+        RecordLog::survey(file.clone(), segment_identity(1, Path::new("journal")), 0, &mut |surveyed| {
             let Surveyed::Whole(record) = surveyed else { panic!("{surveyed:?}") };
             match record.envelope {
                 format::THUMBNAIL => thumbnails.push(record.offset),
@@ -160,7 +159,8 @@ mod tests {
         let (first_place, loss) = map.absorb(&damaged, &GO_ON).unwrap();
         let loss = loss.unwrap().to_string();
         assert!(
-            loss.contains("(experiences: 1, keyframes: 0, thumbnails: 1): ") && loss.contains("bad record"),
+            loss.contains("(experiences: 1, keyframes: 0, thumbnails: 1, other records: 0): ")
+                && loss.contains("bad record"),
             "{loss}"
         );
         assert_eq!((first_place, map.places().len(), map.experiences().count()), (PlaceId(1), 4, 3));

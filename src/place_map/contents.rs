@@ -128,6 +128,23 @@ impl Contents {
         Ok(())
     }
 
+    /// Puts a place without a name, as if its record stood at `location` and took nothing, where a record is lost that
+    /// others need; unless more than `most` are.
+    pub(super) fn replace_lost_places(&mut self, most: u64, location: Location) {
+        let named = self.places.values().flat_map(|place| place.merged_into.iter().chain(&place.neighbours));
+        let learnt = self.experiences.values().map(|experience| &experience.learnt_as);
+        let Some(&last) = self.places.keys().chain(named).chain(learnt).max() else { return };
+        if u64::from(last.0) + 1 - self.places.len() as u64 > most {
+            return;
+        }
+        for place in 0..=last.0 {
+            if !self.places.contains_key(&PlaceId(place)) {
+                let record = PlaceRecord { place, name: None, merged_into: None, neighbours: Vec::new() };
+                self.put_place(record, location, 0);
+            }
+        }
+    }
+
     /// What every place is by now, each step of every chain of merges walked once.
     fn roots(&self) -> Result<BTreeMap<PlaceId, PlaceId>, String> {
         let mut roots = BTreeMap::new();

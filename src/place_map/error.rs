@@ -11,6 +11,17 @@ pub enum MapError {
     /// A file could not be read or written.
     #[error(transparent)]
     Storage(#[from] StorageError),
+    /// The journal is damaged where the map cannot be opened without.
+    #[error(
+        "{} is damaged: {reason}; restore it from a copy, or keep the rest by `loci map compact`",
+        path.display()
+    )]
+    Damaged {
+        /// The segment, or the map's folder.
+        path: PathBuf,
+        /// What does not fit, and where.
+        reason: String,
+    },
     /// The folder holds no map.
     #[error("no map in {}: `loci run SOURCE --map FOLDER` makes one", path.display())]
     Missing {
@@ -38,7 +49,7 @@ pub enum MapError {
     /// What had to be written again, so that the rest could be kept, could not be read.
     #[error(
         "given up, for it cannot be read (experiences: {experiences}, keyframes: {keyframes}, \
-         thumbnails: {thumbnails}): {}",
+         thumbnails: {thumbnails}, other records: {records}): {}",
         found(first)
     )]
     GaveUp {
@@ -48,6 +59,8 @@ pub enum MapError {
         keyframes: usize,
         /// Thumbnails without which experiences were kept.
         thumbnails: usize,
+        /// Records of which nobody can say whose they were.
+        records: usize,
         /// What was wrong with the first.
         first: StorageError,
     },

@@ -7,6 +7,7 @@ use super::contents::{Contents, Location};
 use super::format::{
     self, EXPERIENCE, ExperienceRecord, FEATURES, FeaturesRecord, KIND, PLACE, THINNED, THUMBNAIL,
 };
+use super::journal::segment_identity;
 use super::replay::{apply, apply_version_1};
 use super::version_1;
 use crate::storage::{AppendFile, Envelope, RecordLog, StorageError, Surveyed, log_kind};
@@ -15,7 +16,7 @@ use crate::storage::{AppendFile, Envelope, RecordLog, StorageError, Surveyed, lo
 pub(super) struct Inspected<'a> {
     pub(super) offset: u64,
     pub(super) length_bytes: u64,
-    pub(super) found: Result<Said<'a>, Flaw>,
+    pub(super) found: Result<Said<'a>, Flaw<'a>>,
 }
 
 /// A record whose checksum is right.
@@ -25,8 +26,17 @@ pub(super) enum Said<'a> {
 }
 
 /// What is wrong.
-pub(super) enum Flaw {
-    Damage(String),
+pub(super) enum Flaw<'a> {
+    /// The record is sound, what it needs is not.
+    Doubtful {
+        said: Said<'a>,
+        reason: String,
+    },
+    /// There is no sound record; what it was, if at least that can be told.
+    Bad {
+        envelope: Option<Envelope>,
+        reason: String,
+    },
     TornTail,
 }
 
@@ -66,13 +76,13 @@ fn name_of(envelope: Option<Envelope>) -> &'static str {
     }
 }
 
-/// Hands everything that stands in the segment `file` to `visit`. What is bad in its first `durable_bytes` is no
-/// torn tail.
+/// Hands everything that stands in the segment `number`, which is `file`, to `visit`. What is bad in its first
+/// `durable_bytes` is no torn tail.
 ///
 /// # Errors
 /// If it is no segment of a version that can be read, or the medium fails.
 pub(super) fn inspect(
-    (file, path): (&Arc<dyn AppendFile>, &Path),
+    (number, file, path): (u32, &Arc<dyn AppendFile>, &Path),
     durable_bytes: u64,
     visit: &mut dyn FnMut(Inspected<'_>),
 ) -> Result<(), StorageError> {
@@ -80,14 +90,19 @@ pub(super) fn inspect(
         return inspect_version_1(file, path, visit);
     }
     let mut parts = Parts::default();
-    RecordLog::survey(file.clone(), (&KIND, path), durable_bytes, &mut |surveyed| {
+    RecordLog::survey(file.clone(), segment_identity(number, path), durable_bytes, &mut |surveyed| {
         let (offset, length_bytes, found) = match surveyed {
             Surveyed::Whole(record) => {
                 let (envelope, payload) = (record.envelope, record.payload.unwrap_or_default());
-                let checked = parts.check(record.offset, envelope, payload);
-                let found = checked.map(|()| Said::Now(envelope, payload));
-                let flaw = |reason| Flaw::Damage(format!("{}: {reason}", name_of(Some(envelope))));
-                (record.offset, record.length_bytes, found.map_err(flaw))
+                let said = Said::Now(envelope, payload);
+                let found = match parts.check(record.offset, envelope, payload) {
+                    Ok(()) => Ok(said),
+                    Err(reason) => {
+                        let reason = format!("{}: {reason}", said.name());
+                        Err(Flaw::Doubtful { said, reason })
+                    }
+                };
+                (record.offset, record.length_bytes, found)
             }
             Surveyed::Bad { offset, envelope, length_bytes } => {
                 parts.note(offset, envelope);
@@ -95,7 +110,7 @@ pub(super) fn inspect(
                     Some(_) => format!("{}: its checksum is wrong", name_of(envelope)),
                     None => format!("no whole record in {length_bytes} bytes from here on"),
                 };
-                (offset, length_bytes, Err(Flaw::Damage(reason)))
+                (offset, length_bytes, Err(Flaw::Bad { envelope, reason }))
             }
             Surveyed::Torn { offset, length_bytes } => (offset, length_bytes, Err(Flaw::TornTail)),
         };
@@ -110,8 +125,9 @@ fn inspect_version_1(
 ) -> Result<(), StorageError> {
     let mut seen = |offset, length_bytes, payload: Option<&[u8]>| {
         let found = payload.map(Said::Version1);
-        let flaw = || Flaw::Damage(format!("no whole record in {length_bytes} bytes from here on"));
-        visit(Inspected { offset, length_bytes, found: found.ok_or_else(flaw) });
+        let reason = || format!("no whole record in {length_bytes} bytes from here on");
+        let bad = || Flaw::Bad { envelope: None, reason: reason() };
+        visit(Inspected { offset, length_bytes, found: found.ok_or_else(bad) });
     };
     let torn = version_1::Journal::survey(file.clone(), path, &mut seen)?;
     if let Some((offset, length_bytes)) = torn {

@@ -16,7 +16,7 @@ use super::replay::version_1_experience;
 use super::syncer::JournalSyncer;
 use super::version_1;
 use crate::feature::Features;
-use crate::storage::{AppendFile, Envelope, Folder, Reading, RecordLog, StorageError, Tail};
+use crate::storage::{AppendFile, Envelope, Folder, LogIdentity, Reading, RecordLog, StorageError, Tail};
 
 /// A point of the journal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -62,6 +62,11 @@ fn segment_number(name: &str) -> Option<u32> {
     (segment_name(number) == name).then_some(number)
 }
 
+/// What the segment `number` at `path` is to be.
+pub(super) fn segment_identity(number: u32, path: &Path) -> LogIdentity<'_> {
+    LogIdentity { kind: &KIND, number, path }
+}
+
 /// Numbers of the segments in `folder`, rising.
 pub(super) fn segment_numbers(folder: &dyn Folder) -> Result<Vec<u32>, StorageError> {
     let names = folder.names().map_err(StorageError::io("list", folder.path()))?;
@@ -93,7 +98,7 @@ impl Journal {
         }
         let file = self.folder.open(&name, true).map_err(StorageError::io("create", &path))?;
         let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
-        let (log, _) = RecordLog::open(file, (&KIND, &path), Tail::Mended, reading)?;
+        let (log, _) = RecordLog::open(file, segment_identity(number, &path), Tail::Mended, reading)?;
         self.folder.sync().map_err(StorageError::io("sync", self.folder.path()))?;
         self.segments.insert(number, Segment::Log(log));
         self.watch();

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::journal::{Journal, segment_numbers};
-use super::journal_opening::Opened;
+use super::journal_opening::{Opened, Purpose};
 use super::map::PlaceMap;
 use super::snapshot;
 use super::upkeep::Upkeep;
@@ -32,8 +32,7 @@ impl PlaceMap {
     /// If the folder cannot be written, another process writes it, or the journal is damaged.
     pub fn open(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
         create_folders(folder).map_err(StorageError::io("create map folder", folder))?;
-        let lock = WriterLock::acquire(folder)?;
-        Self::open_folder(Arc::new(DiskFolder::new(folder)), Some(options), Some(lock))
+        Self::open_locked(folder, Purpose::Writing, options)
     }
 
     /// Opens the map in `folder` for writing, as [`open`](Self::open), if there is one.
@@ -41,11 +40,24 @@ impl PlaceMap {
     /// # Errors
     /// If there is none, or as for [`open`](Self::open).
     pub fn open_existing(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
-        let has_snapshot = folder.join(snapshot::NAME).exists();
-        if !folder.is_dir() || !has_snapshot && segment_numbers(&DiskFolder::new(folder))?.is_empty() {
-            return Err(MapError::Missing { path: folder.to_owned() });
-        }
-        Self::open(folder, options)
+        check_exists(folder)?;
+        Self::open_locked(folder, Purpose::Writing, options)
+    }
+
+    /// Opens the map in `folder` for [compacting](Self::compact), as [`open_existing`](Self::open_existing), also where
+    /// the journal is damaged: what cannot be read is given up, and [said](Self::take_loss).
+    ///
+    /// # Errors
+    /// If there is none, the folder cannot be written, another process writes it, or a whole segment is missing or
+    /// cannot be read.
+    pub fn open_damaged(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
+        check_exists(folder)?;
+        Self::open_locked(folder, Purpose::Repairing, options)
+    }
+
+    fn open_locked(folder: &Path, purpose: Purpose, options: MapOptions) -> Result<Self, MapError> {
+        let lock = WriterLock::acquire(folder)?;
+        Self::open_for(purpose, Arc::new(DiskFolder::new(folder)), options, Some(lock))
     }
 
     /// Opens the map in `folder` for reading, as it is now; other processes may read and one may write it.
@@ -72,6 +84,16 @@ impl PlaceMap {
         options: Option<MapOptions>,
         lock: Option<WriterLock>,
     ) -> Result<Self, MapError> {
+        let purpose = if options.is_some() { Purpose::Writing } else { Purpose::Reading };
+        Self::open_for(purpose, folder, options.unwrap_or_default(), lock)
+    }
+
+    fn open_for(
+        purpose: Purpose,
+        folder: Arc<dyn Folder>,
+        options: MapOptions,
+        lock: Option<WriterLock>,
+    ) -> Result<Self, MapError> {
         let (snapshot, unreadable) = match snapshot::read(folder.as_ref()) {
             Ok(snapshot) => (snapshot, None),
             Err(StorageError::Damaged { path, reason }) => {
@@ -81,9 +103,9 @@ impl PlaceMap {
             Err(fault) => (None, Some(fault)),
         };
         let length_bytes = snapshot.as_ref().map_or(0, |snapshot| snapshot.length_bytes);
-        let is_writable = options.is_some();
-        let Opened { journal, contents, recovery, snapshot_fault } =
-            Journal::open(&folder, is_writable, snapshot)?;
+        let is_writable = purpose != Purpose::Reading;
+        let Opened { journal, contents, recovery, snapshot_fault, skipped } =
+            Journal::open(&folder, purpose, snapshot).map_err(|error| with_a_way_out(purpose, error))?;
         if is_writable {
             remove_leftovers(folder.as_ref())?;
         }
@@ -91,14 +113,33 @@ impl PlaceMap {
             contents,
             journal,
             folder,
-            options: options.unwrap_or_default(),
-            upkeep: Upkeep::new(length_bytes),
+            options,
+            upkeep: Upkeep::new(length_bytes, skipped),
             recovery,
             snapshot_fault: unreadable.or(snapshot_fault),
             latest_place: None,
             is_writable,
             _lock: lock,
         })
+    }
+}
+
+/// Refuses a folder in which there is no map.
+fn check_exists(folder: &Path) -> Result<(), MapError> {
+    let has_snapshot = folder.join(snapshot::NAME).exists();
+    if !folder.is_dir() || !has_snapshot && segment_numbers(&DiskFolder::new(folder))?.is_empty() {
+        return Err(MapError::Missing { path: folder.to_owned() });
+    }
+    Ok(())
+}
+
+/// Why a map could not be opened, and what helps unless that was just tried.
+fn with_a_way_out(purpose: Purpose, error: StorageError) -> MapError {
+    match (purpose, error) {
+        (Purpose::Reading | Purpose::Writing, StorageError::Damaged { path, reason }) => {
+            MapError::Damaged { path, reason }
+        }
+        (_, error) => error.into(),
     }
 }
 
@@ -114,8 +155,9 @@ fn opened_beside_a_writer(
             Err(MapError::Storage(error)) => Some(error),
             Err(_) => None,
         };
+        let is_damaged = matches!(opened, Err(MapError::Damaged { .. }));
         attempts += 1;
-        if attempts >= doubt.map_or(1, attempts_after) {
+        if attempts >= doubt.map_or(1 + u32::from(is_damaged), attempts_after) {
             return opened;
         }
     }

@@ -25,7 +25,12 @@ mod options;
 #[cfg(test)]
 mod power_cut_tests;
 mod reading;
+#[cfg(test)]
+mod refusal_tests;
+mod repair;
 mod replay;
+#[cfg(test)]
+mod scripted_life;
 mod snapshot;
 mod syncer;
 #[cfg(test)]

@@ -271,7 +271,7 @@ impl<'a> Verifier<'a> {
         };
         let mut end = LOG_HEADER_BYTES;
         let mut is_torn = false;
-        let read = inspect((&segment.file, &segment.path), durable_bytes, &mut |inspected| {
+        let read = inspect((segment.number, &segment.file, &segment.path), durable_bytes, &mut |inspected| {
             is_torn |= matches!(inspected.found, Err(Flaw::TornTail));
             if !matches!(inspected.found, Err(Flaw::TornTail)) {
                 end = inspected.offset + inspected.length_bytes;
@@ -307,7 +307,9 @@ impl<'a> Verifier<'a> {
                     self.found.add_damage(path, Some(offset), format!("{}: {reason}", said.name()));
                 }
             },
-            Err(Flaw::Damage(reason)) => self.found.add_damage(path, Some(offset), reason.as_str()),
+            Err(Flaw::Doubtful { reason, .. } | Flaw::Bad { reason, .. }) => {
+                self.found.add_damage(path, Some(offset), reason.as_str())
+            }
             Err(Flaw::TornTail) => {
                 let reason = format!("{length_bytes} bytes of a torn tail, which count for nothing");
                 self.found.add(Problem { path, offset: Some(offset), reason, is_torn_tail: true });
@@ -405,9 +407,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::place_map::format::{
-        self, EXPERIENCE, FEATURES, KIND, PLACE, THINNED, THUMBNAIL, ThinnedRecord,
-    };
+    use crate::place_map::format::{self, EXPERIENCE, FEATURES, PLACE, THINNED, THUMBNAIL, ThinnedRecord};
+    use crate::place_map::journal::segment_identity;
     use crate::place_map::tests::{SMALL, knowledge, learn};
     use crate::place_map::{Durability, ExperienceId, MapOptions, PlaceId};
     use crate::storage::{Envelope, Reading, RecordLog, Surveyed, Tail};
@@ -453,7 +454,7 @@ mod tests {
         map.close().unwrap();
         let file = DiskFolder::new(folder.path()).open(JOURNAL, false).unwrap();
         let mut first = BTreeMap::new();
-        RecordLog::survey(file, (&KIND, Path::new(JOURNAL)), 0, &mut |surveyed| {
+        RecordLog::survey(file, segment_identity(1, Path::new(JOURNAL)), 0, &mut |surveyed| {
             let Surveyed::Whole(record) = surveyed else { panic!("{surveyed:?}") };
             first.entry(record.envelope.kind).or_insert((record.offset, record.length_bytes));
         })
@@ -621,7 +622,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = DiskFolder::new(folder.path()).open(JOURNAL, true).unwrap();
         let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
-        let (mut log, _) = RecordLog::open(file, (&KIND, Path::new(JOURNAL)), Tail::Mended, reading).unwrap();
+        let (mut log, _) =
+            RecordLog::open(file, segment_identity(1, Path::new(JOURNAL)), Tail::Mended, reading).unwrap();
         let thinned = format::encode(&ThinnedRecord::new(&[ExperienceId(3)])).unwrap();
         let foreign = Envelope { kind: 9, version: 1 };
         let records = [(FEATURES, &b"x"[..]), (THINNED, &thinned), (PLACE, b"y"), (foreign, b"z")];

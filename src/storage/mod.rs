@@ -17,8 +17,8 @@ pub use folder::{BESIDE_SUFFIX, DiskFolder, Folder, MemoryFolder, create_folders
 pub use header::{FileKind, HEADER_BYTES, checksum};
 pub use lock::WriterLock;
 pub use log::{
-    Footing, LOG_HEADER_BYTES, LogSyncer, LoggedRecord, Reading, RecordLog, Recovery, Surveyed, Tail,
-    log_kind,
+    Footing, LOG_HEADER_BYTES, LogIdentity, LogSyncer, LoggedRecord, RECORD_HEADER_BYTES, Reading, RecordLog,
+    Recovery, Surveyed, Tail, log_kind,
 };
 pub use mapped::FileBytes;
 pub use record::Envelope;
@@ -74,6 +74,18 @@ pub enum StorageError {
         got: u32,
         /// The oldest that can be read.
         oldest: u32,
+    },
+    /// The file stands under the name of another one of those that it belongs to.
+    #[error("{} is number {got} of a {kind}, not {expected}: give every file its own name again", path.display())]
+    Misplaced {
+        /// The file.
+        path: PathBuf,
+        /// What it is.
+        kind: &'static str,
+        /// Which one it is.
+        got: u32,
+        /// Which one was to be there.
+        expected: u32,
     },
     /// The bytes are not what was written.
     #[error("{} is damaged: {reason}; restore it from a copy", path.display())]

@@ -1,4 +1,4 @@
-//! The header of a record in a log; its bytes are described in the log's own file.
+//! The header of a record in a log; ARCHITECTURE.md has its bytes.
 
 /// Bytes before a payload.
 pub(super) const HEADER_BYTES: usize = 28;

@@ -257,6 +257,27 @@ fn damaged_keyframes_are_counted_by_info_and_given_up_by_compact() {
 }
 
 #[test]
+fn a_map_that_is_too_damaged_to_be_opened_is_opened_again_once_compact_gave_that_up() {
+    let (_folder, map) = map();
+    assert_eq!(loci(&["map", "rename", text(&map), "0", "dock"]).code, 0);
+    fs::remove_file(map.join("snapshot.loci")).unwrap();
+    let journal = fs::read(map.join(JOURNAL)).unwrap();
+    let experience = journal.windows(4).position(|bytes| bytes == b"=1+1").unwrap();
+    flip(&map.join(JOURNAL), experience);
+    let way_out = "bad record at byte ";
+    for command in ["info", "verify"] {
+        loci(&["map", command, text(&map)])
+            .assert_failed(1, &[way_out, "keep the rest by `loci map compact`"]);
+    }
+    let compacted = loci(&["map", "compact", text(&map)]);
+    assert_eq!((compacted.code, compacted.stderr.lines().count()), (3, 1), "{}", compacted.stderr);
+    assert!(compacted.stderr.contains("other records: 1") && compacted.stderr.contains(JOURNAL));
+    let info = json("info", &map, &[]);
+    assert_eq!((&info["experiences"], &info["places"]), (&3.into(), &2.into()));
+    assert_eq!(json("verify", &map, &[])["damaged"], false);
+}
+
+#[test]
 fn a_torn_tail_ends_with_3() {
     let (folder, map) = map();
     tear(&map);
@@ -432,7 +453,11 @@ fn what_cannot_be_read_is_skipped_and_reported_and_the_export_ends_with_3() {
     let report = &export.records()[0];
     assert_eq!((&report["experiences"], &report["thumbnails"]), (&3.into(), &2.into()));
     let reported: Vec<&str> = export.stderr.lines().collect();
-    assert!(reported.len() == 2 && reported[1].contains("skipped: experience 2: "), "{reported:?}");
+    assert!(
+        reported.len() == 2 && reported[0].contains("skipped: thumbnail of experience 0: "),
+        "{reported:?}"
+    );
+    assert!(reported[1].contains("skipped: experience 2: "), "{reported:?}");
     loci(&["map", "verify", text(&map)]).assert_failed(1, &["problems found: 2"]);
 }
 
@@ -444,6 +469,9 @@ fn a_format_that_cannot_be_told_is_a_wrong_argument() {
     export(&["--out", text(&out)]).assert_failed(2, &["out.xls", ".parquet", "--format"]);
     export(&["--out", "-", "--format", "parquet"]).assert_failed(2, &["--out FILE.parquet"]);
     assert_eq!(export(&["--out", text(&out), "--format", "xls"]).code, 2);
+    let both = ["--out", text(&out), "--format", "csv", "--thumbnails", text(&out)];
+    export(&both).assert_failed(2, &["out.xls cannot be both --out and --thumbnails"]);
+    assert!(!out.exists());
     assert_eq!(export(&[]).code, 2);
     assert_eq!(export(&["--out", text(&out), "--format", "csv"]).code, 0);
     assert!(fs::read_to_string(&out).unwrap().starts_with("experience,place,"));

@@ -39,7 +39,7 @@ struct Report {
 /// Compacts the map and says what it gained.
 pub(super) fn run(arguments: &CompactArguments) -> anyhow::Result<Outcome> {
     let settings = StreamSettings { map_disk: arguments.map_disk, ..StreamSettings::default() };
-    let mut map = PlaceMap::open_existing(&arguments.map, stream::map_options(&settings)?)?;
+    let mut map = PlaceMap::open_damaged(&arguments.map, stream::map_options(&settings)?)?;
     let before = map.summary();
     let spinner = spinner("rewriting what counts");
     let compacted = map.compact();

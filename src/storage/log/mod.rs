@@ -1,22 +1,11 @@
 //! An append-only log of records.
 //!
-//! The log begins with 16 bytes: magic (8), version (u32 little-endian), zero (4). Then come the records,
-//! each behind a header of 28 bytes (little-endian):
-//!
-//! | Offset | Bytes | Field |
-//! |---|---|---|
-//! | 0 | 4 | mark `B7 52 65 63` |
-//! | 4 | 1 | kind of the payload |
-//! | 5 | 1 | version of that kind's layout |
-//! | 6 | 2 | zero |
-//! | 8 | 4 | length of the payload, 1 to 16 MiB |
-//! | 12 | 4 | CRC-32 of the payload |
-//! | 16 | 8 | d: so many bytes of this log were on the medium for certain when the record was written |
-//! | 24 | 4 | CRC-32 of the 24 bytes before |
+//! The log begins with 16 bytes, all numbers little-endian: magic (8), version (u32), and which of several logs it is
+//! (u32; 0 where nobody says). Then come the records, each behind a header: ARCHITECTURE.md has their bytes.
 //!
 //! A power cut may tear whatever was written since the last sync, in any order. So the first bad record ends the
-//! log, unless a record behind it testifies, by its d, that it had been on the medium: then it is damage,
-//! and never cut off in silence.
+//! log, unless a record behind it testifies that it had been on the medium: then it is damage, and never cut off in
+//! silence.
 
 mod shared;
 mod survey;
@@ -35,7 +24,31 @@ use shared::Shared;
 
 /// Bytes of a log before its first record.
 pub const LOG_HEADER_BYTES: u64 = 16;
-const RECORD_HEADER_BYTES: u64 = HEADER_BYTES as u64;
+/// Where it says which log it is.
+const NUMBER_OFFSET: usize = 12;
+/// Bytes of a record before its payload.
+pub const RECORD_HEADER_BYTES: u64 = HEADER_BYTES as u64;
+
+/// Which log a file is to be.
+#[derive(Clone, Copy, Debug)]
+pub struct LogIdentity<'a> {
+    /// Its kind.
+    pub kind: &'a FileKind,
+    /// Which of several logs that belong together; 0 for one that stands alone.
+    pub number: u32,
+    /// The file, for messages.
+    pub path: &'a Path,
+}
+
+impl LogIdentity<'_> {
+    fn header(&self) -> [u8; LOG_HEADER_BYTES as usize] {
+        let mut header = [0; LOG_HEADER_BYTES as usize];
+        header[..8].copy_from_slice(&self.kind.magic);
+        header[8..NUMBER_OFFSET].copy_from_slice(&self.kind.version.to_le_bytes());
+        header[NUMBER_OFFSET..].copy_from_slice(&self.number.to_le_bytes());
+        header
+    }
+}
 
 /// What may be at the end of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,28 +100,27 @@ pub struct RecordLog {
 
 impl RecordLog {
     /// Opens a log and hands its records to `reading`. An empty file becomes a new log if it may be mended.
-    /// `path` only serves messages.
     ///
     /// # Errors
-    /// If the log is of another kind or version, is damaged, or the medium fails.
+    /// If it is another log, of another kind or version, is damaged, or the medium fails.
     pub fn open(
         file: Arc<dyn AppendFile>,
-        (kind, path): (&FileKind, &Path),
+        identity: LogIdentity<'_>,
         tail: Tail,
         reading: Reading<'_>,
     ) -> Result<(Self, Recovery), StorageError> {
-        let length = file.length_bytes().map_err(StorageError::io("read", path))?;
-        let log = Self::over(file, path);
+        let length = file.length_bytes().map_err(StorageError::io("read", identity.path))?;
+        let log = Self::over(file, identity.path);
         let mut recovery = Recovery::default();
-        if !log.is_torn_at_birth(kind, length)? {
-            log.check_header(kind)?;
+        if !log.is_torn_at_birth(identity, length)? {
+            log.check_header(identity)?;
             recovery = log.replay(length, tail, reading)?;
             log.shared.end.store(length - recovery.torn_bytes, Ordering::Release);
         } else if tail == Tail::Sealed {
             return Err(log.damaged(0));
         }
         if tail == Tail::Mended {
-            log.mend(kind)?;
+            log.mend(identity)?;
         }
         Ok((log, recovery))
     }
@@ -204,11 +216,11 @@ impl RecordLog {
     ///
     /// # Errors
     /// If the medium fails.
-    pub fn mend(&self, kind: &FileKind) -> Result<(), StorageError> {
+    pub fn mend(&self, identity: LogIdentity<'_>) -> Result<(), StorageError> {
         let Shared { file, path, .. } = self.shared.as_ref();
         let length = file.length_bytes().map_err(StorageError::io("read", path))?;
-        if self.is_torn_at_birth(kind, length)? {
-            let begun = file.truncate(0).and_then(|()| file.append(&log_header(kind)));
+        if self.is_torn_at_birth(identity, length)? {
+            let begun = file.truncate(0).and_then(|()| file.append(&identity.header()));
             begun.map_err(StorageError::io("create", path))?;
         } else if length > self.length_bytes() {
             file.truncate(self.length_bytes()).map_err(StorageError::io("repair", path))?;
@@ -217,32 +229,40 @@ impl RecordLog {
     }
 
     /// Whether a log of `length` bytes is new or was torn while it was made.
-    fn is_torn_at_birth(&self, kind: &FileKind, length: u64) -> Result<bool, StorageError> {
+    fn is_torn_at_birth(&self, identity: LogIdentity<'_>, length: u64) -> Result<bool, StorageError> {
         if length > LOG_HEADER_BYTES {
             return Ok(false);
         }
         let mut there = vec![0; length as usize];
         self.shared.file.read_at(0, &mut there).map_err(StorageError::io("read", &self.shared.path))?;
-        let header = log_header(kind);
-        Ok(there != header && there.iter().zip(header).all(|(&byte, whole)| byte == whole || byte == 0))
+        let header = identity.header();
+        let nameless = LogIdentity { number: 0, ..identity }.header();
+        let is_whole = there == header || there == nameless;
+        Ok(!is_whole && there.iter().zip(header).all(|(&byte, whole)| byte == whole || byte == 0))
     }
 
-    fn check_header(&self, kind: &FileKind) -> Result<(), StorageError> {
-        let (path, name) = (self.shared.path.clone(), kind.name);
-        let (magic, got) = log_kind(self.shared.file.as_ref(), &path)?;
-        if magic != kind.magic {
+    fn check_header(&self, identity: LogIdentity<'_>) -> Result<(), StorageError> {
+        let LogIdentity { kind: &FileKind { magic, version, name }, number, path } = identity;
+        let path = path.to_owned();
+        let Header { magic: found, version: got, number: is } =
+            Header::read(self.shared.file.as_ref(), &path)?;
+        if found != magic {
             let reason = "it does not begin as one".to_owned();
             return Err(StorageError::WrongKind { path, kind: name, reason });
         }
-        match got.cmp(&kind.version) {
-            std::cmp::Ordering::Equal => Ok(()),
+        match got.cmp(&version) {
+            std::cmp::Ordering::Equal => {}
             std::cmp::Ordering::Greater => {
-                Err(StorageError::TooNew { path, kind: name, got, newest: kind.version })
+                return Err(StorageError::TooNew { path, kind: name, got, newest: version });
             }
             std::cmp::Ordering::Less => {
-                Err(StorageError::TooOld { path, kind: name, got, oldest: kind.version })
+                return Err(StorageError::TooOld { path, kind: name, got, oldest: version });
             }
         }
+        if is != 0 && is != number {
+            return Err(StorageError::Misplaced { path, kind: name, got: is, expected: number });
+        }
+        Ok(())
     }
 
     fn replay(&self, length: u64, tail: Tail, reading: Reading<'_>) -> Result<Recovery, StorageError> {
@@ -329,23 +349,35 @@ impl RecordLog {
     }
 }
 
-fn log_header(kind: &FileKind) -> [u8; LOG_HEADER_BYTES as usize] {
-    let mut header = [0; LOG_HEADER_BYTES as usize];
-    header[..8].copy_from_slice(&kind.magic);
-    header[8..12].copy_from_slice(&kind.version.to_le_bytes());
-    header
-}
-
 /// Magic and version of a log, zeros where it is shorter.
 ///
 /// # Errors
 /// If the medium fails.
 pub fn log_kind(file: &dyn AppendFile, path: &Path) -> Result<([u8; 8], u32), StorageError> {
-    let mut header = [0; LOG_HEADER_BYTES as usize];
-    let there = file.length_bytes().map_err(StorageError::io("read", path))?.min(LOG_HEADER_BYTES) as usize;
-    file.read_at(0, &mut header[..there]).map_err(StorageError::io("read", path))?;
-    let [magic @ .., v0, v1, v2, v3, _, _, _, _] = header;
-    Ok((magic, u32::from_le_bytes([v0, v1, v2, v3])))
+    let Header { magic, version, .. } = Header::read(file, path)?;
+    Ok((magic, version))
+}
+
+/// What a log says of itself, zeros where it is shorter and no number if that is not whole.
+struct Header {
+    magic: [u8; 8],
+    version: u32,
+    number: u32,
+}
+
+impl Header {
+    fn read(file: &dyn AppendFile, path: &Path) -> Result<Self, StorageError> {
+        let mut bytes = [0; LOG_HEADER_BYTES as usize];
+        let there =
+            file.length_bytes().map_err(StorageError::io("read", path))?.min(LOG_HEADER_BYTES) as usize;
+        file.read_at(0, &mut bytes[..there]).map_err(StorageError::io("read", path))?;
+        let [magic @ .., v0, v1, v2, v3, n0, n1, n2, n3] = bytes;
+        Ok(Self {
+            magic,
+            version: u32::from_le_bytes([v0, v1, v2, v3]),
+            number: if there == bytes.len() { u32::from_le_bytes([n0, n1, n2, n3]) } else { 0 },
+        })
+    }
 }
 
 #[cfg(test)]

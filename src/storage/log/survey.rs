@@ -2,12 +2,11 @@
 //! and stops at the first bad record.
 
 use std::ops::ControlFlow;
-use std::path::Path;
 use std::sync::Arc;
 
-use super::{LOG_HEADER_BYTES, LoggedRecord, RECORD_HEADER_BYTES, RecordLog};
+use super::{LOG_HEADER_BYTES, LogIdentity, LoggedRecord, RECORD_HEADER_BYTES, RecordLog};
 use crate::storage::record::{Envelope, HEADER_BYTES, RecordHeader};
-use crate::storage::{AppendFile, FileKind, StorageError};
+use crate::storage::{AppendFile, StorageError};
 
 /// Bytes that are searched at once for a header.
 const CHUNK_BYTES: u64 = 1 << 16;
@@ -70,16 +69,16 @@ impl RecordLog {
     /// first `durable_bytes`, which are known to have been on the medium, is damage and no torn tail.
     ///
     /// # Errors
-    /// If the log is of another kind or version, or the medium fails.
+    /// If it is another log, of another kind or version, or the medium fails.
     pub fn survey(
         file: Arc<dyn AppendFile>,
-        (kind, path): (&FileKind, &Path),
+        identity: LogIdentity<'_>,
         durable_bytes: u64,
         visit: &mut dyn FnMut(Surveyed<'_>),
     ) -> Result<(), StorageError> {
-        let length = file.length_bytes().map_err(StorageError::io("read", path))?;
-        let log = Self::over(file, path);
-        if log.is_torn_at_birth(kind, length)? {
+        let length = file.length_bytes().map_err(StorageError::io("read", identity.path))?;
+        let log = Self::over(file, identity.path);
+        if log.is_torn_at_birth(identity, length)? {
             if durable_bytes > 0 {
                 visit(Surveyed::Bad { offset: 0, envelope: None, length_bytes: length });
             } else if length > 0 {
@@ -87,7 +86,7 @@ impl RecordLog {
             }
             return Ok(());
         }
-        log.check_header(kind)?;
+        log.check_header(identity)?;
         if length < LOG_HEADER_BYTES {
             visit(Surveyed::Bad { offset: 0, envelope: None, length_bytes: length });
             return Ok(());

@@ -12,6 +12,10 @@ const KIND: FileKind = FileKind { magic: *b"LOCITEST", version: 3, name: "test l
 const NOTE: Envelope = Envelope { kind: 1, version: 1 };
 const BLOB: Envelope = Envelope { kind: 2, version: 1 };
 
+fn identity() -> LogIdentity<'static> {
+    LogIdentity { kind: &KIND, number: 0x0102, path: Path::new("log") }
+}
+
 type Opened = (RecordLog, Recovery, Vec<Vec<u8>>);
 
 fn open(file: &Arc<MemoryFile>, tail: Tail) -> Result<Opened, StorageError> {
@@ -21,7 +25,7 @@ fn open(file: &Arc<MemoryFile>, tail: Tail) -> Result<Opened, StorageError> {
         Ok(())
     };
     let reading = Reading { from: 0, wanted: |envelope| envelope == NOTE, visit: &mut visit };
-    let (log, recovery) = RecordLog::open(file.clone(), (&KIND, Path::new("log")), tail, reading)?;
+    let (log, recovery) = RecordLog::open(file.clone(), identity(), tail, reading)?;
     Ok((log, recovery, records))
 }
 
@@ -73,11 +77,11 @@ fn reading_may_begin_at_any_record_and_leave_out_what_is_not_wanted() {
             Ok(())
         };
         let reading = Reading { from, wanted: |envelope| envelope == NOTE, visit: &mut visit };
-        RecordLog::open(file.clone(), (&KIND, Path::new("log")), tail, reading).unwrap();
+        RecordLog::open(file.clone(), identity(), tail, reading).unwrap();
         assert_eq!(wanted, expected);
     }
     let reading = Reading { from: log.length_bytes() + 1, wanted: |_| true, visit: &mut |_| Ok(()) };
-    let error = RecordLog::open(file, (&KIND, Path::new("log")), Tail::Ignored, reading).err().unwrap();
+    let error = RecordLog::open(file, identity(), Tail::Ignored, reading).err().unwrap();
     assert!(error.to_string().contains("it ends after"), "{error}");
 }
 
@@ -143,10 +147,27 @@ fn foreign_older_and_newer_logs_are_refused_by_name() {
     let message = |bytes: &[u8]| reopened(bytes.to_vec(), Tail::Mended).err().unwrap().to_string();
     assert_eq!(message(b"something else entirely"), "log is not a test log: it does not begin as one");
     assert_eq!(message(b"foreign"), "log is not a test log: it does not begin as one");
-    let mut other = log_header(&FileKind { version: 4, ..KIND });
+    let mut other = LogIdentity { kind: &FileKind { version: 4, ..KIND }, ..identity() }.header();
     assert!(message(&other).contains("update Loci"));
     other[8] = 2;
     assert!(message(&other).contains("version 2, this Loci reads from 3 on"));
+}
+
+#[test]
+fn a_log_that_stands_under_the_name_of_another_one_is_refused_and_one_that_says_no_number_is_not() {
+    let mut bytes = written(&[b"first"], 0);
+    assert_eq!(bytes[12..16], [2, 1, 0, 0]);
+    for tail in [Tail::Mended, Tail::Ignored, Tail::Sealed] {
+        bytes[12..16].copy_from_slice(&[3, 1, 0, 0]);
+        let error = reopened(bytes.clone(), tail).err().unwrap().to_string();
+        assert_eq!(error, "log is number 259 of a test log, not 258: give every file its own name again");
+        bytes[12..16].copy_from_slice(&[0; 4]);
+        let (_, recovery, records) = reopened(bytes.clone(), tail).unwrap();
+        assert_eq!((recovery.torn_bytes, records), (0, vec![b"first".to_vec()]));
+    }
+    // Also one without records, whose number was not torn off.
+    let (_, recovery, _) = reopened(bytes[..16].to_vec(), Tail::Sealed).unwrap();
+    assert_eq!(recovery, Recovery::default());
 }
 
 #[test]
@@ -179,8 +200,7 @@ fn a_medium_that_refuses_half_a_record_leaves_the_log_as_it_was() {
     }
     let file = Arc::new(FullFile(MemoryFile::default()));
     let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
-    let (mut log, _) =
-        RecordLog::open(file.clone(), (&KIND, Path::new("log")), Tail::Mended, reading).unwrap();
+    let (mut log, _) = RecordLog::open(file.clone(), identity(), Tail::Mended, reading).unwrap();
     log.append(&[(NOTE, b"fits")]).unwrap();
     let before = bytes_of(&file.0);
     let error = log.append(&[(NOTE, &[7; 200])]).unwrap_err().to_string();
@@ -194,7 +214,7 @@ fn a_refused_record_does_not_come_back_after_a_power_cut() {
     let folder = FaultyFolder::default();
     let file = folder.open("log", true).unwrap();
     let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
-    let (mut log, _) = RecordLog::open(file, (&KIND, Path::new("log")), Tail::Mended, reading).unwrap();
+    let (mut log, _) = RecordLog::open(file, identity(), Tail::Mended, reading).unwrap();
     folder.sync().unwrap();
     let next = folder.operations();
     folder.fill_up_at(next);
@@ -208,7 +228,7 @@ fn after_a_sync_that_failed_no_other_one_succeeds() {
     let folder = FaultyFolder::default();
     let file = folder.open("log", true).unwrap();
     let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
-    let (mut log, _) = RecordLog::open(file, (&KIND, Path::new("log")), Tail::Mended, reading).unwrap();
+    let (mut log, _) = RecordLog::open(file, identity(), Tail::Mended, reading).unwrap();
     folder.remove("log").unwrap();
     log.append(&[(NOTE, b"lost")]).unwrap();
     assert!(log.sync().unwrap_err().to_string().contains("deleted"));
@@ -251,8 +271,7 @@ fn no_sync_succeeds_beside_one_that_fails() {
     }
     let file = Arc::new(ForgetfulFile::default());
     let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
-    let (mut log, _) =
-        RecordLog::open(file.clone(), (&KIND, Path::new("log")), Tail::Mended, reading).unwrap();
+    let (mut log, _) = RecordLog::open(file.clone(), identity(), Tail::Mended, reading).unwrap();
     log.append(&[(NOTE, b"lost")]).unwrap();
     file.is_failing.store(true, Ordering::Release);
     std::thread::scope(|scope| {
@@ -271,7 +290,7 @@ fn a_log_whose_refused_record_could_not_be_cut_off_is_never_synced_nor_written_a
     let folder = FaultyFolder::default();
     let file = folder.open("log", true).unwrap();
     let reading = Reading { from: 0, wanted: |_| true, visit: &mut |_| Ok(()) };
-    let (mut log, _) = RecordLog::open(file, (&KIND, Path::new("log")), Tail::Mended, reading).unwrap();
+    let (mut log, _) = RecordLog::open(file, identity(), Tail::Mended, reading).unwrap();
     folder.fill_up_at(folder.operations());
     folder.fail_at(folder.operations() + 2);
     log.append(&[(NOTE, &[7; 3000])]).unwrap_err();
@@ -284,7 +303,7 @@ fn surveyed(bytes: &[u8], tail: Tail) -> Vec<(char, u64, u64)> {
     let mut found = Vec::new();
     let file = Arc::new(MemoryFile::new(bytes.to_vec()));
     let durable_bytes = if tail == Tail::Sealed { u64::MAX } else { 0 };
-    RecordLog::survey(file, (&KIND, Path::new("log")), durable_bytes, &mut |what| {
+    RecordLog::survey(file, identity(), durable_bytes, &mut |what| {
         found.push(match what {
             Surveyed::Whole(record) => ('w', record.offset, record.length_bytes),
             Surveyed::Bad { offset, length_bytes, .. } => ('b', offset, length_bytes),

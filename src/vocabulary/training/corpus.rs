@@ -10,7 +10,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::feature::Descriptor;
-use crate::storage::{DiskFile, Envelope, FileKind, LoggedRecord, Reading, RecordLog, StorageError, Tail};
+use crate::storage::{
+    DiskFile, Envelope, FileKind, LogIdentity, LoggedRecord, Reading, RecordLog, StorageError, Tail,
+};
 use crate::vocabulary::VocabularyError;
 
 const KIND: FileKind = FileKind { magic: *b"LOCITRN\0", version: 2, name: "training file" };
@@ -107,7 +109,8 @@ impl TrainingFile {
             Ok(())
         };
         let reading = Reading { from: 0, wanted: |_| true, visit: &mut visit };
-        let opened = RecordLog::open(Arc::new(file), (&KIND, path), Tail::Mended, reading);
+        let identity = LogIdentity { kind: &KIND, number: 0, path };
+        let opened = RecordLog::open(Arc::new(file), identity, Tail::Mended, reading);
         let (log, _) = opened.map_err(|error| match error {
             StorageError::Damaged { path, reason } => VocabularyError::DamagedTraining { path, reason },
             error => error.into(),

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use self::output::Output;
 use self::rows::Rows;
-use super::{folder_of, refuse_inside, report_torn_tail};
+use super::{folder_of, real_path, refuse_inside, report_torn_tail};
 use crate::cli::console::{counted, say};
 use crate::cli::{Outcome, WrongArgument, stream};
 
@@ -133,8 +133,10 @@ fn refuse_the_map(arguments: &ExportArguments) -> Result<(), WrongArgument> {
     if out != Path::new(STDOUT) {
         refuse_inside(map, folder_of(out), &format!("--out {}", out.display()))?;
     }
-    match thumbnails {
-        Some(folder) => refuse_inside(map, folder, &format!("--thumbnails {}", folder.display())),
-        None => Ok(()),
+    let Some(folder) = thumbnails else { return Ok(()) };
+    if real_path(folder) == real_path(out) {
+        let folder = folder.display();
+        return Err(WrongArgument(format!("{folder} cannot be both --out and --thumbnails; name a folder")));
     }
+    refuse_inside(map, folder, &format!("--thumbnails {}", folder.display()))
 }

@@ -78,10 +78,12 @@ impl<'a> Rows<'a> {
 
     fn row(&mut self, experience: &Experience) -> Result<Option<Row>, StorageError> {
         let id = experience.id;
-        let Some(origin) = self.or_skip(id, self.map.origin(id)) else { return Ok(None) };
-        let traits = self.or_skip(id, self.map.traits(id)).unwrap_or_default();
+        let Some(origin) = self.or_skip("experience", id, self.map.origin(id)) else { return Ok(None) };
+        let traits = self.or_skip("descriptor of experience", id, self.map.traits(id)).unwrap_or_default();
         let features = match experience.is_keyframe {
-            true => self.or_skip(id, self.map.features(id)).map(|features| features.len() as u64),
+            true => self
+                .or_skip("features of experience", id, self.map.features(id))
+                .map(|features| features.len() as u64),
             false => None,
         };
         let place = self.map.place(experience.learnt_as);
@@ -115,7 +117,9 @@ impl<'a> Rows<'a> {
         if self.thumbnails.is_none() {
             return Ok(None);
         }
-        let jpeg = self.or_skip(id, self.map.thumbnail_jpeg(id)).filter(|jpeg| !jpeg.is_empty());
+        let jpeg = self
+            .or_skip("thumbnail of experience", id, self.map.thumbnail_jpeg(id))
+            .filter(|jpeg| !jpeg.is_empty());
         let (Some(jpeg), Some(folder)) = (jpeg, &self.thumbnails) else { return Ok(None) };
         let name = format!("{:06}.jpg", id.0);
         let beside = format!("{name}{BESIDE_SUFFIX}");
@@ -130,11 +134,11 @@ impl<'a> Rows<'a> {
         Ok(Some(name))
     }
 
-    /// What was read; what could not be is reported and counted.
-    fn or_skip<T>(&mut self, id: ExperienceId, read: Result<T, MapError>) -> Option<T> {
+    /// What was read; what could not be is reported as `what`, and counted.
+    fn or_skip<T>(&mut self, what: &str, id: ExperienceId, read: Result<T, MapError>) -> Option<T> {
         read.map_err(|error| {
             self.counts.skipped += 1;
-            self.bar.suspend(|| eprintln!("loci: skipped: experience {}: {error}", id.0));
+            self.bar.suspend(|| eprintln!("loci: skipped: {what} {}: {error}", id.0));
         })
         .ok()
     }
