@@ -24,6 +24,8 @@ pub mod cnn;
 pub mod feature;
 
 pub mod kernel;
+#[cfg(feature = "train")]
+pub mod onnx;
 pub mod storage;
 
 pub mod frame;

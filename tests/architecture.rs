@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules and their floors; neighbours on one floor do not know each other.
-const FLOORS: [(&str, u32); 18] = [
+const FLOORS: [(&str, u32); 19] = [
     ("cli", 9),
     ("evaluation", 8),
     ("pipeline", 7),
@@ -19,6 +19,7 @@ const FLOORS: [(&str, u32); 18] = [
     ("cnn", 2),
     ("feature", 2),
     ("kernel", 1),
+    ("onnx", 1),
     ("storage", 1),
     ("frame", 0),
     ("geometry", 0),
@@ -28,7 +29,7 @@ const FLOORS: [(&str, u32); 18] = [
 ];
 
 /// Outside libraries and the modules that may use them.
-const HOMES: [(&str, &[&str]); 29] = [
+const HOMES: [(&str, &[&str]); 30] = [
     ("anyhow", &["cli", "main"]),
     ("bytesize", &["cli"]),
     ("clap", &["cli"]),
@@ -46,6 +47,8 @@ const HOMES: [(&str, &[&str]); 29] = [
     ("bincode", &["place_map"]),
     ("ort", &["cnn"]),
     ("sha2", &["cnn", "evaluation"]),
+    ("half", &["onnx"]),
+    ("prost", &["onnx"]),
     ("crc32fast", &["storage"]),
     ("memmap2", &["storage"]),
     ("serde_json", &["telemetry", "cli", "evaluation"]),
@@ -56,7 +59,6 @@ const HOMES: [(&str, &[&str]); 29] = [
     ("plotters", &["evaluation"]),
     ("heapless", &["recognition", "retrieval", "verification"]),
     ("rayon", &["vocabulary", "cli"]),
-    ("rustc_hash", &["retrieval"]),
     ("rand_pcg", &["vocabulary", "source", "evaluation"]),
 ];
 

@@ -1,0 +1,72 @@
+//! Weights stored as f16: half the file, and the same f32 arithmetic, since each is widened where it is used.
+
+use half::f16;
+
+use super::model::OnnxModel;
+use super::proto::attribute_proto::AttributeType;
+use super::proto::tensor_proto::DataType;
+use super::proto::{AttributeProto, GraphProto, NodeProto, TensorProto};
+
+/// Fewest values of a weight that is worth a node of its own.
+const FEWEST_VALUES: i64 = 64;
+
+impl OnnxModel {
+    /// The model with its f32 weights stored as f16. A weight that f16 cannot hold, since it would overflow, stays.
+    #[must_use]
+    pub fn stored_as_half(mut self) -> Self {
+        self.proto.graph.iter_mut().for_each(store_as_half);
+        self
+    }
+}
+
+fn store_as_half(graph: &mut GraphProto) {
+    let mut widening = Vec::new();
+    for weight in &mut graph.initializer {
+        let values = f32_values(weight).filter(|_| weight.dims.iter().product::<i64>() >= FEWEST_VALUES);
+        let Some(halves) = values.and_then(|values| halves(&values)) else { continue };
+        let name = weight.name().to_owned();
+        let stored = format!("{name} as half");
+        weight.name = Some(stored.clone());
+        weight.data_type = Some(DataType::Float16 as i32);
+        weight.float_data.clear();
+        weight.raw_data = Some(halves);
+        widening.push(widen(stored, name));
+    }
+    // Before all that take them.
+    graph.node.splice(0..0, widening);
+}
+
+/// The values of an f32 weight.
+fn f32_values(weight: &TensorProto) -> Option<Vec<f32>> {
+    if weight.data_type() != DataType::Float as i32 {
+        return None;
+    }
+    match &weight.raw_data {
+        Some(raw) => Some(raw.as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect()),
+        None => Some(weight.float_data.clone()),
+    }
+}
+
+/// The values as f16; `None` if one overflows.
+fn halves(values: &[f32]) -> Option<Vec<u8>> {
+    let halves: Vec<f16> = values.iter().map(|&value| f16::from_f32(value)).collect();
+    let is_kept = halves.iter().zip(values).all(|(half, value)| half.is_finite() == value.is_finite());
+    is_kept.then(|| halves.iter().flat_map(|half| half.to_le_bytes()).collect())
+}
+
+fn widen(from: String, to: String) -> NodeProto {
+    let attribute = AttributeProto {
+        name: Some("to".to_owned()),
+        r#type: Some(AttributeType::Int as i32),
+        i: Some(DataType::Float as i64),
+        ..Default::default()
+    };
+    NodeProto {
+        name: Some(to.clone()),
+        op_type: Some("Cast".to_owned()),
+        input: vec![from],
+        output: vec![to],
+        attribute: vec![attribute],
+        ..Default::default()
+    }
+}
