@@ -122,10 +122,10 @@ impl Watcher for Reporter {
     }
 }
 
-/// How a run ended. A torn last record was reported when the map was opened.
+/// How a run ended. What could not be read of the map was reported when it was opened.
 pub(super) fn outcome(summary: &RunSummary) -> Outcome {
-    let was_torn = summary.map.as_ref().is_some_and(|map| map.torn_bytes > 0);
-    if summary.lost_something() || was_torn { Outcome::Lost } else { Outcome::Done }
+    let was_whole = summary.map.as_ref().is_none_or(|map| map.torn_bytes == 0 && map.passed_over == 0);
+    if summary.lost_something() || !was_whole { Outcome::Lost } else { Outcome::Done }
 }
 
 /// The summary of a run, for people.

@@ -48,7 +48,8 @@ pub(super) fn pipeline(
     Ok(Pipeline { source, extractor: OrbExtractor::new(OrbOptions::default()), model, recogniser, sinks })
 }
 
-/// The map of `settings`; where there is one but its folder cannot be written, for reading, with the reason.
+/// The map of `settings`; where there is one but it is damaged or its folder cannot be written, for reading, with the
+/// reason.
 fn open_map(
     settings: &StreamSettings,
     options: MapOptions,
@@ -58,10 +59,12 @@ fn open_map(
         (Some(folder), true) => Ok((PlaceMap::open_read_only(folder)?, None)),
         (Some(folder), false) => match PlaceMap::open(folder, options) {
             Ok(map) => Ok((map, None)),
-            Err(error) if error.is_unwritable() => match PlaceMap::open_read_only(folder) {
-                Ok(map) => Ok((map, Some(error))),
-                Err(_) => Err(error.into()),
-            },
+            Err(error) if error.is_unwritable() || matches!(error, MapError::Damaged { .. }) => {
+                match PlaceMap::open_read_only(folder) {
+                    Ok(map) => Ok((map, Some(error))),
+                    Err(_) => Err(error.into()),
+                }
+            }
             Err(error) => Err(error.into()),
         },
         (None, true) => Err(WrongArgument("--read-only needs a --map to localise in".into()).into()),
@@ -144,6 +147,9 @@ fn report_condition(map: &PlaceMap) {
     if torn_bytes > 0 {
         let torn = counted(torn_bytes, "byte");
         eprintln!("loci: the map's last record was torn ({torn}) and is left out");
+    }
+    if let Some(passed_over) = map.passed_over() {
+        eprintln!("loci: {passed_over}; `loci map compact --repair` gives it up");
     }
     if let Some(fault) = map.snapshot_fault() {
         eprintln!("loci: the journal was read from its beginning: {fault}");

@@ -30,7 +30,7 @@ impl Loss {
 
     fn told(self) -> Option<MapError> {
         let Self { experiences, thumbnails, first } = self;
-        first.map(|first| MapError::GaveUp { experiences, keyframes: 0, thumbnails, records: 0, first })
+        first.map(|first| MapError::GaveUp { experiences, keyframes: 0, thumbnails, first })
     }
 }
 
@@ -159,8 +159,7 @@ mod tests {
         let (first_place, loss) = map.absorb(&damaged, &GO_ON).unwrap();
         let loss = loss.unwrap().to_string();
         assert!(
-            loss.contains("(experiences: 1, keyframes: 0, thumbnails: 1, other records: 0): ")
-                && loss.contains("bad record"),
+            loss.contains("(experiences: 1, keyframes: 0, thumbnails: 1): ") && loss.contains("bad record"),
             "{loss}"
         );
         assert_eq!((first_place, map.places().len(), map.experiences().count()), (PlaceId(1), 4, 3));

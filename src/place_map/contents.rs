@@ -2,7 +2,7 @@
 //!
 //! Journal and snapshot lead here by the same few steps, whether a record was just written or is read back.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::format::PlaceRecord;
 use super::{Experience, ExperienceId, Place, PlaceId};
@@ -128,21 +128,61 @@ impl Contents {
         Ok(())
     }
 
-    /// Puts a place without a name, as if its record stood at `location` and took nothing, where a record is lost that
-    /// others need; unless more than `most` are.
-    pub(super) fn replace_lost_places(&mut self, most: u64, location: Location) {
+    /// Gives up the experiences whose records are not where they were, and answers their numbers.
+    pub(super) fn lose_experiences(&mut self, is_there: impl Fn(Location) -> bool) -> Vec<ExperienceId> {
+        let lost = self.experiences.values().filter(|experience| !is_there(experience.location));
+        let lost: Vec<ExperienceId> = lost.map(|experience| experience.id).collect();
+        lost.iter().for_each(|&id| self.remove_experience(id));
+        lost
+    }
+
+    /// Keeps the places whose records are not where they were, as if they stood at `somewhere` and took nothing.
+    pub(super) fn move_places(&mut self, is_there: impl Fn(Location) -> bool, somewhere: Location) {
+        for place in self.places.values_mut().filter(|place| !is_there(place.location)) {
+            self.live_bytes -= u64::from(place.record_bytes);
+            (place.location, place.record_bytes) = (somewhere, 0);
+        }
+    }
+
+    /// Puts a place without a name, as if its record stood at `somewhere` and took nothing, where a record is lost that
+    /// others need, and answers their numbers; unless more than `most` are lost.
+    pub(super) fn replace_lost_places(&mut self, most: usize, somewhere: Location) -> Vec<PlaceId> {
         let named = self.places.values().flat_map(|place| place.merged_into.iter().chain(&place.neighbours));
         let learnt = self.experiences.values().map(|experience| &experience.learnt_as);
-        let Some(&last) = self.places.keys().chain(named).chain(learnt).max() else { return };
-        if u64::from(last.0) + 1 - self.places.len() as u64 > most {
-            return;
+        let Some(&last) = self.places.keys().chain(named).chain(learnt).max() else { return Vec::new() };
+        if last.0 as usize + 1 - self.places.len() > most {
+            return Vec::new();
         }
-        for place in 0..=last.0 {
-            if !self.places.contains_key(&PlaceId(place)) {
-                let record = PlaceRecord { place, name: None, merged_into: None, neighbours: Vec::new() };
-                self.put_place(record, location, 0);
+        let places = (0..=last.0).map(PlaceId);
+        let lost: Vec<PlaceId> = places.filter(|place| !self.places.contains_key(place)).collect();
+        for place in &lost {
+            let record =
+                PlaceRecord { place: place.0, name: None, merged_into: None, neighbours: Vec::new() };
+            self.put_place(record, somewhere, 0);
+        }
+        lost
+    }
+
+    /// Takes back a merge of every circle, and answers of which places.
+    pub(super) fn break_circles(&mut self) -> Vec<PlaceId> {
+        let mut looked_at = BTreeSet::new();
+        let mut closing = Vec::new();
+        for &place in self.places.keys() {
+            let mut way = BTreeSet::new();
+            let mut here = Some(place);
+            while let Some(at) = here.filter(|at| !looked_at.contains(at)) {
+                if !way.insert(at) {
+                    closing.push(at);
+                    break;
+                }
+                here = self.places.get(&at).and_then(|place| place.merged_into);
             }
+            looked_at.append(&mut way);
         }
+        for place in &closing {
+            self.places.entry(*place).and_modify(|place| place.merged_into = None);
+        }
+        closing
     }
 
     /// What every place is by now, each step of every chain of merges walked once.

@@ -13,7 +13,7 @@ pub enum MapError {
     Storage(#[from] StorageError),
     /// The journal is damaged where the map cannot be opened without.
     #[error(
-        "{} is damaged: {reason}; restore it from a copy, or keep the rest by `loci map compact`",
+        "{} is damaged: {reason}; restore it from a copy, or keep the rest by `loci map compact --repair`",
         path.display()
     )]
     Damaged {
@@ -49,7 +49,7 @@ pub enum MapError {
     /// What had to be written again, so that the rest could be kept, could not be read.
     #[error(
         "given up, for it cannot be read (experiences: {experiences}, keyframes: {keyframes}, \
-         thumbnails: {thumbnails}, other records: {records}): {}",
+         thumbnails: {thumbnails}): {}",
         found(first)
     )]
     GaveUp {
@@ -59,8 +59,6 @@ pub enum MapError {
         keyframes: usize,
         /// Thumbnails without which experiences were kept.
         thumbnails: usize,
-        /// Records of which nobody can say whose they were.
-        records: usize,
         /// What was wrong with the first.
         first: StorageError,
     },

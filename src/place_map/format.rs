@@ -7,6 +7,7 @@
 use std::f32::consts::PI;
 
 use bincode::config::{Configuration, Fixint, Limit, LittleEndian};
+use bincode::error::DecodeError;
 use bincode::{Decode, Encode};
 
 use super::{Appearance, ExperienceId, Traits, VocabularyWords};
@@ -30,6 +31,11 @@ pub(super) const FEATURES: Envelope = Envelope { kind: 3, version: 1 };
 pub(super) const THUMBNAIL: Envelope = Envelope { kind: 4, version: 1 };
 /// Experiences that were given up.
 pub(super) const THINNED: Envelope = Envelope { kind: 5, version: 1 };
+
+/// Whether this program knows what such a record says.
+pub(super) fn is_known(envelope: Envelope) -> bool {
+    [PLACE, EXPERIENCE, FEATURES, THUMBNAIL, THINNED].contains(&envelope)
+}
 
 /// Longest payload in bytes; a hostile length stops here instead of allocating.
 const MAX_PAYLOAD_BYTES: usize = 16 << 20;
@@ -55,7 +61,10 @@ pub(super) fn encode(record: &impl Encode) -> Result<Vec<u8>, String> {
 /// A record from its payload, whose checksum was right; an error means that it is not what it says to be.
 pub(super) fn decode<R: Decode<()>>(payload: &[u8]) -> Result<R, String> {
     let (record, read) =
-        bincode::decode_from_slice(payload, configuration()).map_err(|error| error.to_string())?;
+        bincode::decode_from_slice(payload, configuration()).map_err(|error| match error {
+            DecodeError::UnexpectedEnd { .. } => "it ends too early".to_owned(),
+            error => error.to_string(),
+        })?;
     match payload.len() - read {
         0 => Ok(record),
         rest => Err(format!("{rest} bytes too many")),

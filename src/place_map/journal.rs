@@ -31,7 +31,7 @@ pub(super) enum Segment {
 }
 
 impl Segment {
-    fn length_bytes(&self) -> u64 {
+    pub(super) fn length_bytes(&self) -> u64 {
         match self {
             Self::Log(log) => log.length_bytes(),
             Self::Version1(journal) => journal.length_bytes(),

@@ -4,34 +4,22 @@
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::contents::{Contents, Location, MAX_SEGMENT};
-use super::format::{FEATURES, KIND, THUMBNAIL};
+use super::format::{FEATURES, KIND, THUMBNAIL, is_known};
 use super::journal::{Journal, Position, Segment, missing, segment_identity, segment_name, segment_numbers};
-use super::repair::{Skipped, read_around};
 use super::replay::{apply, apply_version_1};
+use super::salvage::PassedOver;
 use super::snapshot::{self, Snapshot};
 use super::version_1;
 use crate::storage::{
-    AppendFile, Folder, LOG_HEADER_BYTES, LoggedRecord, Reading, RecordLog, Recovery, StorageError, Tail,
-    log_kind,
+    AppendFile, Envelope, Folder, LoggedRecord, Reading, RecordLog, Recovery, StorageError, Tail, log_kind,
 };
 
 /// Behind every record there can be.
-const BEHIND_ALL: Position = Position { segment: u32::MAX, offset: 0 };
-
-/// What a journal is opened for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Purpose {
-    /// Nothing is changed.
-    Reading,
-    /// A torn tail is cut off, and an empty folder gets a first segment.
-    Writing,
-    /// As for writing, but what is damaged is passed over.
-    Repairing,
-}
+pub(super) const BEHIND_ALL: Position = Position { segment: u32::MAX, offset: 0 };
 
 /// A journal, and what it says.
 pub(super) struct Opened {
@@ -40,15 +28,8 @@ pub(super) struct Opened {
     pub(super) recovery: Recovery,
     /// Why the snapshot was of no use.
     pub(super) snapshot_fault: Option<StorageError>,
-    /// What was passed over to repair it.
-    pub(super) skipped: Option<Skipped>,
-}
-
-/// What was read of a journal from some point on.
-struct Read {
-    journal: Journal,
-    recovery: Recovery,
-    skipped: Option<Skipped>,
+    /// What was passed over, if it was opened around damage.
+    pub(super) passed_over: Option<PassedOver>,
 }
 
 /// A segment that was not read yet.
@@ -56,68 +37,72 @@ pub(super) struct SegmentFile {
     pub(super) number: u32,
     pub(super) path: PathBuf,
     pub(super) file: Arc<dyn AppendFile>,
-    length_bytes: u64,
+    pub(super) length_bytes: u64,
     /// What its end may be like; nothing is mended here.
     pub(super) tail: Tail,
 }
 
 impl SegmentFile {
-    /// Whether it is of the version before this one.
-    fn is_version_1(&self) -> Result<bool, StorageError> {
+    pub(super) fn is_version_1(&self) -> Result<bool, StorageError> {
         Ok(log_kind(self.file.as_ref(), &self.path)? == (KIND.magic, version_1::VERSION))
     }
 }
 
 impl Journal {
     /// Opens the journal in `folder`, whose `snapshot` saves reading it from the beginning if it is the journal's own.
+    /// With `writable` a torn tail is cut off, and an empty folder gets a first segment.
     ///
     /// # Errors
-    /// If a segment is missing, newer than this program, or damaged, unless for repairing, or the medium fails.
+    /// If a segment is missing, damaged, newer than this program, or the medium fails.
     pub(super) fn open(
         folder: &Arc<dyn Folder>,
-        purpose: Purpose,
+        writable: bool,
         snapshot: Option<Snapshot>,
     ) -> Result<Opened, StorageError> {
-        let files = open_files(folder.as_ref(), purpose)?;
+        let files = open_files(folder.as_ref(), writable)?;
         let useless = |reason| StorageError::Useless { path: folder.path().join(snapshot::NAME), reason };
         let mut snapshot_fault = None;
         let mut start = Snapshot::default();
         if let Some(snapshot) = snapshot {
-            match at(folder, &files, BEHIND_ALL, purpose, &mut Contents::default())?
-                .journal
-                .disowns(&snapshot)
-            {
+            match at(folder, &files, BEHIND_ALL, &mut Contents::default())?.0.disowns(&snapshot) {
                 Ok(None) => start = snapshot,
                 Ok(Some(reason)) => snapshot_fault = Some(useless(reason)),
                 // What the journal has lost is not lost for good by reading what it has.
-                Err(ahead @ StorageError::Ahead { .. }) if purpose == Purpose::Reading => {
-                    snapshot_fault = Some(ahead);
-                }
-                Err(StorageError::Damaged { reason, .. }) if purpose == Purpose::Repairing => {
-                    snapshot_fault = Some(useless(reason));
-                }
+                Err(ahead @ StorageError::Ahead { .. }) if !writable => snapshot_fault = Some(ahead),
                 Err(error) => return Err(error),
             }
         }
         let has_snapshot = start.position != Position::default();
         let Snapshot { position, mut contents, .. } = start;
-        let mut read = at(folder, &files, position, purpose, &mut contents)?;
-        let mut settled = read.settle(&mut contents);
+        let (mut journal, mut recovery) = at(folder, &files, position, &mut contents)?;
+        let mut settled = journal.settle(&mut contents);
         if has_snapshot && let Err(StorageError::Damaged { reason, .. }) = settled {
             snapshot_fault = Some(useless(reason));
             contents = Contents::default();
-            read = at(folder, &files, Position::default(), purpose, &mut contents)?;
-            settled = read.settle(&mut contents);
+            (journal, recovery) = at(folder, &files, Position::default(), &mut contents)?;
+            settled = journal.settle(&mut contents);
         }
         settled?;
-        let Read { mut journal, recovery, skipped } = read;
-        if purpose != Purpose::Reading {
+        if writable {
             journal.make_writable()?;
         }
-        Ok(Opened { journal, contents, recovery, snapshot_fault, skipped })
+        Ok(Opened { journal, contents, recovery, snapshot_fault, passed_over: None })
     }
 
-    fn make_writable(&mut self) -> Result<(), StorageError> {
+    /// Puts together what was read of the journal, if it makes sense.
+    pub(super) fn settle(&self, contents: &mut Contents) -> Result<(), StorageError> {
+        let is_gone = |location: &Location| !self.segments.contains_key(&location.segment());
+        if let Some(gone) = contents.locations().find(is_gone) {
+            return Err(self.missing(gone.segment()));
+        }
+        let damaged = |reason| StorageError::Damaged { path: self.folder.path().to_owned(), reason };
+        if contents.live_bytes > self.total_bytes() {
+            return Err(damaged("it speaks of more than there is".to_owned()));
+        }
+        contents.settle().map_err(damaged)
+    }
+
+    pub(super) fn make_writable(&mut self) -> Result<(), StorageError> {
         match self.segments.last_key_value() {
             Some((&last, Segment::Log(log))) => {
                 log.mend(segment_identity(last, &self.path_of(last)))?;
@@ -134,35 +119,20 @@ impl Journal {
     }
 }
 
-impl Read {
-    /// Puts together what was read of the journal, if it makes sense.
-    fn settle(&self, contents: &mut Contents) -> Result<(), StorageError> {
-        let is_gone = |location: &Location| !self.journal.segments.contains_key(&location.segment());
-        if let Some(gone) = contents.locations().find(is_gone) {
-            return Err(self.journal.missing(gone.segment()));
-        }
-        let damaged = |reason| StorageError::Damaged { path: self.journal.folder.path().to_owned(), reason };
-        if contents.live_bytes > self.journal.total_bytes() {
-            return Err(damaged("it speaks of more than there is".to_owned()));
-        }
-        if let Some(Skipped { most_records, .. }) = self.skipped {
-            let oldest = self.journal.oldest_number();
-            contents.replace_lost_places(most_records, Location::new(oldest, LOG_HEADER_BYTES));
-        }
-        contents.settle().map_err(damaged)
-    }
+/// The segment at `path` has a record that this program does not know.
+pub(super) fn newer_records(path: &Path, Envelope { kind, version }: Envelope) -> StorageError {
+    StorageError::NewerRecords { path: path.to_owned(), kind, version }
 }
 
 /// Opens all segments before any is read: a writer may delete some meanwhile.
-fn open_files(folder: &dyn Folder, purpose: Purpose) -> Result<Vec<SegmentFile>, StorageError> {
+pub(super) fn open_files(folder: &dyn Folder, writable: bool) -> Result<Vec<SegmentFile>, StorageError> {
     let numbers = segment_numbers(folder)?;
     let open = |number: u32| {
         let name = segment_name(number);
         let path = folder.path().join(&name);
         let is_last = numbers.last() == Some(&number);
-        let opened = folder
-            .open(&name, is_last && purpose != Purpose::Reading)
-            .and_then(|file| Ok((file.length_bytes()?, file)));
+        let opened =
+            folder.open(&name, is_last && writable).and_then(|file| Ok((file.length_bytes()?, file)));
         let (length_bytes, file) = opened.map_err(|error| match error.kind() {
             io::ErrorKind::NotFound => missing(&path),
             _ => StorageError::io("open", &path)(error),
@@ -184,42 +154,22 @@ fn at(
     folder: &Arc<dyn Folder>,
     files: &[SegmentFile],
     position: Position,
-    purpose: Purpose,
     contents: &mut Contents,
-) -> Result<Read, StorageError> {
+) -> Result<(Journal, Recovery), StorageError> {
     let mut segments = BTreeMap::new();
-    let (mut recovery, mut skipped) = (Recovery::default(), None);
+    let mut recovery = Recovery::default();
     for file in files {
         let from = match file.number.cmp(&position.segment) {
             Ordering::Less => file.length_bytes,
             Ordering::Equal => position.offset,
             Ordering::Greater => 0,
         };
-        let (segment, found) = match purpose {
-            Purpose::Repairing => repair(file, from, contents, &mut skipped)?,
-            Purpose::Reading | Purpose::Writing => read(file, from, contents)?,
-        };
+        let (segment, found) = read(file, from, contents)?;
         recovery.records += found.records;
         recovery.torn_bytes += found.torn_bytes;
         segments.insert(file.number, segment);
     }
-    Ok(Read { journal: Journal::of(Arc::clone(folder), segments), recovery, skipped })
-}
-
-/// As [`read`], but passes over what is damaged.
-fn repair(
-    segment: &SegmentFile,
-    from: u64,
-    contents: &mut Contents,
-    skipped: &mut Option<Skipped>,
-) -> Result<(Segment, Recovery), StorageError> {
-    if from >= segment.length_bytes || segment.is_version_1()? {
-        return read(segment, from, contents);
-    }
-    let recovery = read_around(segment, from, contents, skipped)?;
-    let end = segment.length_bytes - recovery.torn_bytes;
-    let (log, _) = read(segment, end, &mut Contents::default())?;
-    Ok((log, recovery))
+    Ok((Journal::of(Arc::clone(folder), segments), recovery))
 }
 
 fn read(
@@ -239,15 +189,20 @@ fn read(
         }
         return Ok((Segment::Version1(journal), recovery));
     }
+    let mut newer = None;
     let mut visit = |record: LoggedRecord<'_>| {
         let LoggedRecord { offset, envelope, payload, length_bytes } = record;
         let Some(payload) = payload else { return Ok(()) };
+        newer = newer.or((!is_known(envelope)).then_some(envelope));
         apply(contents, Location::new(*number, offset), (envelope, payload), length_bytes)
     };
     let wanted = |envelope| envelope != FEATURES && envelope != THUMBNAIL;
     let reading = Reading { from, wanted, visit: &mut visit };
-    let (log, recovery) = RecordLog::open(Arc::clone(file), segment_identity(*number, path), *tail, reading)?;
-    Ok((Segment::Log(log), recovery))
+    let opened = RecordLog::open(Arc::clone(file), segment_identity(*number, path), *tail, reading);
+    match newer {
+        Some(envelope) => Err(newer_records(path, envelope)),
+        None => opened.map(|(log, recovery)| (Segment::Log(log), recovery)),
+    }
 }
 
 #[cfg(test)]

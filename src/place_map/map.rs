@@ -9,7 +9,7 @@ use super::journal::Journal;
 use super::syncer::JournalSyncer;
 use super::thinning::{self, Glimpse};
 use super::upkeep::Upkeep;
-use super::{Durability, ExperienceId, MapError, MapOptions, Place, PlaceId, Traits};
+use super::{Durability, ExperienceId, MapError, MapOptions, PassedOver, Place, PlaceId, Traits};
 use crate::feature::Features;
 use crate::frame::Frame;
 use crate::storage::{Envelope, Folder, RecordLog, Recovery, StorageError, WriterLock};
@@ -49,6 +49,7 @@ pub struct PlaceMap {
     pub(super) upkeep: Upkeep,
     pub(super) recovery: Recovery,
     pub(super) snapshot_fault: Option<StorageError>,
+    pub(super) passed_over: Option<PassedOver>,
     /// The place of the experience before.
     pub(super) latest_place: Option<PlaceId>,
     pub(super) is_writable: bool,
@@ -186,6 +187,12 @@ impl PlaceMap {
         self.snapshot_fault.as_ref()
     }
 
+    /// What was passed over since it cannot be read, if the map was opened around damage.
+    #[must_use]
+    pub fn passed_over(&self) -> Option<&PassedOver> {
+        self.passed_over.as_ref()
+    }
+
     /// The number of the next experience.
     ///
     /// # Errors
@@ -255,7 +262,7 @@ impl PlaceMap {
         records
     }
 
-    fn write_place(&mut self, record: PlaceRecord) -> Result<(), MapError> {
+    pub(super) fn write_place(&mut self, record: PlaceRecord) -> Result<(), MapError> {
         let mut batch = Batch::default();
         batch.add(PLACE, format::encode(&record))?;
         self.write(&batch)

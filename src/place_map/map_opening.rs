@@ -5,13 +5,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::journal::{Journal, segment_numbers};
-use super::journal_opening::{Opened, Purpose};
+use super::journal_opening::Opened;
 use super::map::PlaceMap;
-use super::snapshot;
+use super::snapshot::{self, Snapshot};
 use super::upkeep::Upkeep;
-use super::{MapError, MapOptions};
+use super::{MapError, MapOptions, version_1};
 use crate::storage::{
-    BESIDE_SUFFIX, DiskFolder, Folder, MemoryFolder, StorageError, WriterLock, create_folders,
+    BESIDE_SUFFIX, DiskFolder, Folder, MemoryFolder, StorageError, WriterLock, create_folders, log_kind,
 };
 
 /// Times that a reader begins anew because a segment was deleted while it opened the map.
@@ -32,7 +32,8 @@ impl PlaceMap {
     /// If the folder cannot be written, another process writes it, or the journal is damaged.
     pub fn open(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
         create_folders(folder).map_err(StorageError::io("create map folder", folder))?;
-        Self::open_locked(folder, Purpose::Writing, options)
+        let lock = WriterLock::acquire(folder)?;
+        Self::open_folder(Arc::new(DiskFolder::new(folder)), Some(options), Some(lock))
     }
 
     /// Opens the map in `folder` for writing, as [`open`](Self::open), if there is one.
@@ -41,41 +42,47 @@ impl PlaceMap {
     /// If there is none, or as for [`open`](Self::open).
     pub fn open_existing(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
         check_exists(folder)?;
-        Self::open_locked(folder, Purpose::Writing, options)
+        Self::open(folder, options)
     }
 
-    /// Opens the map in `folder` for [compacting](Self::compact), as [`open_existing`](Self::open_existing), also where
-    /// the journal is damaged: what cannot be read is given up, and [said](Self::take_loss).
+    /// Opens the map in `folder` for writing, as [`open_existing`](Self::open_existing), also where it is damaged: what
+    /// cannot be read is [passed over](Self::passed_over), and gone for good once the map is
+    /// [compacted](Self::compact).
     ///
     /// # Errors
-    /// If there is none, the folder cannot be written, another process writes it, or a whole segment is missing or
-    /// cannot be read.
+    /// If there is none, the folder cannot be written, another process writes it, or what is left makes no sense.
     pub fn open_damaged(folder: &Path, options: MapOptions) -> Result<Self, MapError> {
         check_exists(folder)?;
-        Self::open_locked(folder, Purpose::Repairing, options)
-    }
-
-    fn open_locked(folder: &Path, purpose: Purpose, options: MapOptions) -> Result<Self, MapError> {
         let lock = WriterLock::acquire(folder)?;
-        Self::open_for(purpose, Arc::new(DiskFolder::new(folder)), options, Some(lock))
+        Self::salvage(Arc::new(DiskFolder::new(folder)), Some(options), Some(lock))
     }
 
-    /// Opens the map in `folder` for reading, as it is now; other processes may read and one may write it.
+    /// Opens the map in `folder` for reading, as it is now; other processes may read and one may write it. Of a damaged
+    /// one is read what can be; the rest is [passed over](Self::passed_over).
     ///
     /// # Errors
-    /// If there is no map or the journal is damaged.
+    /// If there is no map, or what can be read of it makes no sense.
     pub fn open_read_only(folder: &Path) -> Result<Self, MapError> {
         let missing = || MapError::Missing { path: folder.to_owned() };
         if !folder.is_dir() {
             return Err(missing());
         }
-        let mut map =
-            opened_beside_a_writer(|| Self::open_folder(Arc::new(DiskFolder::new(folder)), None, None))?;
+        let mut map = match Self::open_sound(folder) {
+            Err(damaged @ MapError::Damaged { .. }) => {
+                Self::salvage(Arc::new(DiskFolder::new(folder)), None, None).map_err(|_| damaged)?
+            }
+            opened => opened?,
+        };
         if map.journal.active_number() > 0 {
             return Ok(map);
         }
         let ahead = map.snapshot_fault.take().filter(|fault| matches!(fault, StorageError::Ahead { .. }));
         Err(ahead.map_or_else(missing, MapError::from))
+    }
+
+    /// Opens the map in `folder` for reading, unless it is damaged.
+    pub(super) fn open_sound(folder: &Path) -> Result<Self, MapError> {
+        opened_beside_a_writer(|| Self::open_folder(Arc::new(DiskFolder::new(folder)), None, None))
     }
 
     /// Opens the map in `folder`, for writing if there are `options`.
@@ -84,16 +91,29 @@ impl PlaceMap {
         options: Option<MapOptions>,
         lock: Option<WriterLock>,
     ) -> Result<Self, MapError> {
-        let purpose = if options.is_some() { Purpose::Writing } else { Purpose::Reading };
-        Self::open_for(purpose, folder, options.unwrap_or_default(), lock)
+        Self::open_by(Journal::open, folder.clone(), options, lock).map_err(|error| match error {
+            StorageError::Damaged { path, reason } if can_be_salvaged(folder.as_ref(), &path) => {
+                MapError::Damaged { path, reason }
+            }
+            error => error.into(),
+        })
     }
 
-    fn open_for(
-        purpose: Purpose,
+    /// As [`open_folder`](Self::open_folder), but around what is damaged.
+    pub(super) fn salvage(
         folder: Arc<dyn Folder>,
-        options: MapOptions,
+        options: Option<MapOptions>,
         lock: Option<WriterLock>,
     ) -> Result<Self, MapError> {
+        Ok(Self::open_by(Journal::salvage, folder, options, lock)?)
+    }
+
+    fn open_by(
+        open: fn(&Arc<dyn Folder>, bool, Option<Snapshot>) -> Result<Opened, StorageError>,
+        folder: Arc<dyn Folder>,
+        options: Option<MapOptions>,
+        lock: Option<WriterLock>,
+    ) -> Result<Self, StorageError> {
         let (snapshot, unreadable) = match snapshot::read(folder.as_ref()) {
             Ok(snapshot) => (snapshot, None),
             Err(StorageError::Damaged { path, reason }) => {
@@ -103,9 +123,9 @@ impl PlaceMap {
             Err(fault) => (None, Some(fault)),
         };
         let length_bytes = snapshot.as_ref().map_or(0, |snapshot| snapshot.length_bytes);
-        let is_writable = purpose != Purpose::Reading;
-        let Opened { journal, contents, recovery, snapshot_fault, skipped } =
-            Journal::open(&folder, purpose, snapshot).map_err(|error| with_a_way_out(purpose, error))?;
+        let is_writable = options.is_some();
+        let Opened { journal, contents, recovery, snapshot_fault, passed_over } =
+            open(&folder, is_writable, snapshot)?;
         if is_writable {
             remove_leftovers(folder.as_ref())?;
         }
@@ -113,15 +133,23 @@ impl PlaceMap {
             contents,
             journal,
             folder,
-            options,
-            upkeep: Upkeep::new(length_bytes, skipped),
+            options: options.unwrap_or_default(),
+            upkeep: Upkeep::new(length_bytes),
             recovery,
             snapshot_fault: unreadable.or(snapshot_fault),
+            passed_over,
             latest_place: None,
             is_writable,
             _lock: lock,
         })
     }
+}
+
+/// Whether the map in `folder` can be read around damage at `path`: in a segment of version 1 it cannot.
+fn can_be_salvaged(folder: &dyn Folder, path: &Path) -> bool {
+    let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return true };
+    let Ok(file) = folder.open(name, false) else { return true };
+    !matches!(log_kind(file.as_ref(), path), Ok((_, version_1::VERSION)))
 }
 
 /// Refuses a folder in which there is no map.
@@ -131,16 +159,6 @@ fn check_exists(folder: &Path) -> Result<(), MapError> {
         return Err(MapError::Missing { path: folder.to_owned() });
     }
     Ok(())
-}
-
-/// Why a map could not be opened, and what helps unless that was just tried.
-fn with_a_way_out(purpose: Purpose, error: StorageError) -> MapError {
-    match (purpose, error) {
-        (Purpose::Reading | Purpose::Writing, StorageError::Damaged { path, reason }) => {
-            MapError::Damaged { path, reason }
-        }
-        (_, error) => error.into(),
-    }
 }
 
 /// What `open` answers, asked again where it may have met a writer at work.

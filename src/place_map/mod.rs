@@ -27,8 +27,8 @@ mod power_cut_tests;
 mod reading;
 #[cfg(test)]
 mod refusal_tests;
-mod repair;
 mod replay;
+mod salvage;
 #[cfg(test)]
 mod scripted_life;
 mod snapshot;
@@ -45,6 +45,7 @@ pub use error::{MapError, Unreadable};
 pub use map::{Learnt, NewExperience, PlaceMap};
 pub use options::{Durability, MapOptions};
 pub use reading::MapSummary;
+pub use salvage::PassedOver;
 pub use syncer::JournalSyncer;
 pub use verify::{Problem, SnapshotState, Verification};
 

@@ -9,11 +9,12 @@ use proptest::prelude::*;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::journal::segment_name;
 use super::scripted_life::Step::{
     Background, Close, Compact, Found, Learn, Merge, Name, Reopen, Split, Sync,
 };
-use super::scripted_life::{Facts, INTERVAL, Life, Step, facts, learn, live, open, script};
-use super::{Durability, PlaceMap, snapshot};
+use super::scripted_life::{Facts, INTERVAL, Life, Step, facts, learn, live, open, options, script};
+use super::{Durability, ExperienceId, MapError, PlaceMap, snapshot};
 use crate::storage::Folder;
 use crate::storage::faulty::FaultyFolder;
 
@@ -220,6 +221,53 @@ proptest! {
         let life = live(&folder, durability, &script);
         for left in leftovers(&folder, seed) {
             assert_recovered(&left, durability, &life, &states);
+        }
+    }
+}
+
+/// A map of twelve places in several segments, with a record of an experience damaged in the first and in the third.
+fn damaged(has_snapshot: bool) -> FaultyFolder {
+    let folder = FaultyFolder::default();
+    let mut map = open(&folder, Durability::Every).unwrap();
+    for place in 0..12 {
+        learn(&mut map, None, place, true).unwrap();
+    }
+    map.close().unwrap();
+    let locations = [1, 8].map(|id| map.location(ExperienceId(id)).unwrap());
+    drop(map);
+    for location in locations {
+        let file = folder.open(&segment_name(location.segment()), true).unwrap();
+        let mut bytes = vec![0; file.length_bytes().unwrap() as usize];
+        file.read_at(0, &mut bytes).unwrap();
+        bytes[location.offset() as usize + 30] ^= 1;
+        file.truncate(0).and_then(|()| file.append(&bytes)).and_then(|()| file.sync()).unwrap();
+    }
+    if !has_snapshot {
+        folder.remove(snapshot::NAME).and_then(|()| folder.sync()).unwrap();
+    }
+    folder
+}
+
+fn repair(folder: &FaultyFolder) -> Result<PlaceMap, MapError> {
+    let mut map = PlaceMap::salvage(Arc::new(folder.clone()), Some(options(Durability::Every)), None)?;
+    map.compact().map(|()| map)
+}
+
+#[test]
+fn wherever_power_is_cut_in_a_repair_the_next_one_ends_it() {
+    for has_snapshot in [false, true] {
+        let whole = damaged(has_snapshot);
+        let first = whole.operations();
+        let repaired = facts(&repair(&whole).unwrap());
+        assert_eq!(repaired.len(), 12 + 10);
+        for operation in first..whole.operations() {
+            let folder = damaged(has_snapshot);
+            folder.cut_power_at(operation);
+            assert!(repair(&folder).is_err());
+            for left in leftovers(&folder, operation) {
+                assert_eq!(facts(&repair(&left).unwrap()), repaired, "cut at {operation}");
+                assert_eq!(facts(&open(&left, Durability::Every).unwrap()), repaired);
+            }
         }
     }
 }

@@ -30,6 +30,8 @@ pub struct MapSummary {
     pub live_bytes: u64,
     /// Bytes of a torn tail that opening found.
     pub torn_bytes: u64,
+    /// Records that were passed over, since they cannot be read.
+    pub passed_over: usize,
     /// Segments of the journal.
     pub segments: usize,
     /// Bytes of the snapshot; 0 if there is none that can be read.
@@ -148,6 +150,7 @@ impl PlaceMap {
             journal_bytes: self.journal.total_bytes(),
             live_bytes: self.contents.live_bytes,
             torn_bytes: self.recovery.torn_bytes,
+            passed_over: self.passed_over.as_ref().map_or(0, |passed_over| passed_over.records),
             segments: self.journal.segment_count(),
             snapshot_bytes: self.upkeep.snapshot_bytes(),
         }

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::contents::MAX_SEGMENT;
 use super::journal::{segment_identity, segment_name};
 use super::tests::{SMALL, features, found, knowledge, learn, reopened};
-use super::{ExperienceId, MapError, PlaceId, PlaceMap};
+use super::{Experience, ExperienceId, MapError, PlaceId, PlaceMap};
 use crate::storage::faulty::FaultyFolder;
 use crate::storage::{DiskFolder, Folder, MemoryFolder, Reading, RecordLog, Tail};
 
@@ -48,7 +48,7 @@ fn segments_that_changed_names_are_refused_by_name_whatever_the_map_is_opened_fo
     let [first, second] = [1, 2].map(|number| folder.path().join(segment_name(number)));
     fs::copy(&first, &second).unwrap();
     let expected = format!(
-        "{} is number 1 of a map journal, not 2: give every file its own name again",
+        "{} is number 1 of a map journal, not 2: it was renamed or copied; give every file its own name again",
         second.display()
     );
     // The snapshot is behind both.
@@ -60,6 +60,29 @@ fn segments_that_changed_names_are_refused_by_name_whatever_the_map_is_opened_fo
     ] {
         assert_eq!(opened.err().unwrap().to_string(), expected);
     }
+}
+
+#[test]
+fn segments_without_numbers_that_changed_names_cost_no_experience() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut map = reopened(folder.path());
+    for index in 0..60 {
+        found(&mut map, index);
+    }
+    map.close().unwrap();
+    let experiences: Vec<Experience> = map.experiences().copied().collect();
+    drop(map);
+    let mut segments = [1, 2].map(|number| fs::read(folder.path().join(segment_name(number))).unwrap());
+    segments.iter_mut().for_each(|bytes| bytes[12..16].fill(0));
+    for (number, bytes) in [2, 1].into_iter().zip(&segments) {
+        fs::write(folder.path().join(segment_name(number)), bytes).unwrap();
+    }
+    let mut map = reopened(folder.path());
+    assert!(map.snapshot_fault().unwrap().to_string().contains("says otherwise of experience"));
+    map.compact().unwrap();
+    assert!(map.take_loss().is_none());
+    let left: Vec<ExperienceId> = map.experiences().map(|experience| experience.id).collect();
+    assert_eq!(left, experiences.iter().map(|experience| experience.id).collect::<Vec<_>>());
 }
 
 #[test]

@@ -60,7 +60,7 @@ pub(super) fn script() -> Vec<Step> {
     script
 }
 
-fn options(durability: Durability) -> MapOptions {
+pub(super) fn options(durability: Durability) -> MapOptions {
     MapOptions { durability, disk_bytes: BUDGET_BYTES, place_experiences: 100 }
 }
 

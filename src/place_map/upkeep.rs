@@ -8,7 +8,6 @@ use super::batch::Batch;
 use super::contents::Fact;
 use super::format::{self, FeaturesRecord, PLACE, THINNED, ThinnedRecord};
 use super::map::PlaceMap;
-use super::repair::Skipped;
 use super::{ExperienceId, MapError, snapshot, thinning};
 use crate::storage::{LOG_HEADER_BYTES, StorageError};
 
@@ -41,20 +40,18 @@ struct Loss {
     experiences: usize,
     keyframes: usize,
     thumbnails: usize,
-    records: usize,
     first: StorageError,
 }
 
 impl Loss {
     fn new(first: StorageError) -> Self {
-        Self { experiences: 0, keyframes: 0, thumbnails: 0, records: 0, first }
+        Self { experiences: 0, keyframes: 0, thumbnails: 0, first }
     }
 }
 
 impl Upkeep {
-    pub(super) fn new(snapshot_bytes: u64, skipped: Option<Skipped>) -> Self {
-        let loss = skipped.map(|Skipped { records, first, .. }| Loss { records, ..Loss::new(first) });
-        Self { cleaning: None, snapshot_bytes, loss, lost_keyframes: Vec::new() }
+    pub(super) fn new(snapshot_bytes: u64) -> Self {
+        Self { cleaning: None, snapshot_bytes, loss: None, lost_keyframes: Vec::new() }
     }
 
     /// What was lost for the time being, `damage` among it.
@@ -86,8 +83,8 @@ impl PlaceMap {
 
     /// What the map gave up since it could not be read any more, once.
     pub fn take_loss(&mut self) -> Option<MapError> {
-        let Loss { experiences, keyframes, thumbnails, records, first } = self.upkeep.loss.take()?;
-        Some(MapError::GaveUp { experiences, keyframes, thumbnails, records, first })
+        let Loss { experiences, keyframes, thumbnails, first } = self.upkeep.loss.take()?;
+        Some(MapError::GaveUp { experiences, keyframes, thumbnails, first })
     }
 
     /// Makes room for `bytes` more, and answers which keyframes were given up for it.
@@ -330,7 +327,7 @@ mod tests {
         map.compact().unwrap();
         let said = map.take_loss().unwrap().to_string();
         assert!(
-            said.contains("(experiences: 1, keyframes: 1, thumbnails: 1, other records: 0): ")
+            said.contains("(experiences: 1, keyframes: 1, thumbnails: 1): ")
                 && said.contains(&segment_name(1)),
             "{said}"
         );

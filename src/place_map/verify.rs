@@ -280,7 +280,7 @@ impl<'a> Verifier<'a> {
             progress(end);
         });
         if let Err(error) = read {
-            self.found.add_damage(segment.path.clone(), None, reason_of(error));
+            self.found.add_damage(segment.path.clone(), None, error.reason());
         } else if stood.segment == segment.number && end < stood.offset {
             let reason =
                 format!("the segment ends here, but had {} bytes when the snapshot was taken", stood.offset);
@@ -351,7 +351,7 @@ impl<'a> Verifier<'a> {
         if self.doubt.is_none() && !self.found.is_damaged() && self.lost_end.is_none() {
             return;
         }
-        let opened = PlaceMap::open_read_only(self.folder.path());
+        let opened = PlaceMap::open_sound(self.folder.path());
         let fault = opened.as_ref().ok().and_then(PlaceMap::snapshot_fault);
         // A snapshot of another map says nothing of where this one's segments end.
         if !matches!(fault, Some(StorageError::Useless { .. }))
@@ -383,19 +383,6 @@ impl<'a> Verifier<'a> {
 
     fn path_of(&self, number: u32) -> PathBuf {
         self.folder.path().join(segment_name(number))
-    }
-}
-
-/// What is wrong, without the file's name, which stands before it.
-fn reason_of(error: StorageError) -> String {
-    match error {
-        StorageError::Io { action, source, .. } => format!("cannot {action} it: {source}"),
-        StorageError::Damaged { reason, .. } => reason,
-        StorageError::WrongKind { kind, reason, .. } => format!("it is not a {kind}: {reason}"),
-        StorageError::TooNew { got, newest, .. } => {
-            format!("it is of version {got}, this Loci reads up to {newest}: update Loci")
-        }
-        other => other.to_string(),
     }
 }
 

@@ -1,7 +1,9 @@
 //! Whether a snapshot is of the journal beside it: whoever copies maps about may bring together what was never one.
 //!
 //! The segment in which it was taken says so, read anew up to there: it must be what the snapshot says. Where damage
-//! hides that, the latest experience which the snapshot knows does instead.
+//! hides that, the latest experience which the snapshot knows, and of which the journal can tell, does instead.
+
+use std::collections::BTreeMap;
 
 use super::Experience;
 use super::contents::{Contents, Location};
@@ -11,6 +13,9 @@ use super::replay::apply;
 use super::snapshot::{self, Snapshot};
 use super::{ExperienceId, PlaceId};
 use crate::storage::{Footing, LOG_HEADER_BYTES, LoggedRecord, Reading, RecordLog, StorageError};
+
+/// Experiences that are asked, one after the other, until the record of one can be read.
+const MOST_WITNESSES: usize = 8;
 
 /// What the journal says of a snapshot.
 enum Testimony {
@@ -48,6 +53,9 @@ impl Journal {
             Testimony::Other(reason) => return Ok(Some(reason)),
             Testimony::Same { boundary } => boundary,
         };
+        if let Some(reason) = self.contradiction(snapshot)? {
+            return Ok(Some(reason));
+        }
         let ahead = |reason| StorageError::Ahead { path: self.folder.path().join(snapshot::NAME), reason };
         let name = segment_name(segment);
         let length = match self.segments.get(&segment) {
@@ -101,21 +109,43 @@ impl Journal {
         Ok(Some(testimony.unwrap_or(Testimony::Same { boundary })))
     }
 
-    /// What the record says of the latest experience of `snapshot` that would lie within the journal.
+    /// What a segment says otherwise of its first experience in `snapshot`: files without numbers may have changed
+    /// names.
+    fn contradiction(&self, snapshot: &Snapshot) -> Result<Option<String>, StorageError> {
+        let mut firsts: BTreeMap<u32, &Experience> = BTreeMap::new();
+        for experience in snapshot.contents.experiences.values() {
+            let first = firsts.entry(experience.location.segment()).or_insert(experience);
+            if experience.location < first.location {
+                *first = experience;
+            }
+        }
+        for first in firsts.into_values() {
+            if self.bears_out(first)? == Some(false) {
+                return Ok(Some(says_otherwise(first)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// What the record says of the latest experience of `snapshot` that would lie within the journal, or of one of
+    /// those before it if that cannot be told.
     fn witness_of(&self, snapshot: &Snapshot) -> Result<Testimony, StorageError> {
         let Position { segment, offset } = self.end();
         let end = Location::new(segment, offset);
         let experiences = snapshot.contents.experiences.values();
-        let latest = experiences.filter(|experience| experience.location < end).max_by_key(|e| e.location);
-        let unknown = Testimony::Same { boundary: None };
-        let Some(witness) = latest else { return Ok(unknown) };
-        Ok(match self.bears_out(witness)? {
-            Some(false) => Testimony::Other(format!("it says otherwise of experience {}", witness.id.0)),
-            Some(true) if witness.location.segment() == snapshot.position.segment => {
-                Testimony::Same { boundary: Some(witness.location.offset()) }
+        let mut witnesses: Vec<_> = experiences.filter(|experience| experience.location < end).collect();
+        witnesses.sort_unstable_by_key(|experience| std::cmp::Reverse(experience.location));
+        for witness in witnesses.into_iter().take(MOST_WITNESSES) {
+            match self.bears_out(witness)? {
+                Some(false) => return Ok(Testimony::Other(says_otherwise(witness))),
+                Some(true) => {
+                    let is_near = witness.location.segment() == snapshot.position.segment;
+                    return Ok(Testimony::Same { boundary: is_near.then(|| witness.location.offset()) });
+                }
+                None => {}
             }
-            Some(true) | None => unknown,
-        })
+        }
+        Ok(Testimony::Same { boundary: None })
     }
 
     /// Whether the journal has the record of `witness` where the snapshot says; `None` if that cannot be told, since
@@ -142,6 +172,10 @@ impl Journal {
             _ => Err(self.missing(location.segment())),
         }
     }
+}
+
+fn says_otherwise(experience: &Experience) -> String {
+    format!("it says otherwise of experience {}", experience.id.0)
 }
 
 impl Retold {

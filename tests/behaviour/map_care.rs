@@ -264,14 +264,31 @@ fn a_map_that_is_too_damaged_to_be_opened_is_opened_again_once_compact_gave_that
     let journal = fs::read(map.join(JOURNAL)).unwrap();
     let experience = journal.windows(4).position(|bytes| bytes == b"=1+1").unwrap();
     flip(&map.join(JOURNAL), experience);
-    let way_out = "bad record at byte ";
-    for command in ["info", "verify"] {
-        loci(&["map", command, text(&map)])
-            .assert_failed(1, &[way_out, "keep the rest by `loci map compact`"]);
+    let before = fs::read(map.join(JOURNAL)).unwrap();
+    let way_out = ["bad record at byte ", "keep the rest by `loci map compact --repair`"];
+    for command in [&["compact"][..], &["verify"], &["rename", "0", "quay"]] {
+        let arguments = [&["map", command[0], text(&map)], &command[1..]].concat();
+        loci(&arguments).assert_failed(1, &way_out);
     }
-    let compacted = loci(&["map", "compact", text(&map)]);
+    // Whoever only reads goes on with the rest.
+    for run in [
+        loci(&["map", "info", text(&map)]),
+        loci(&["map", "export", text(&map), "--out", "-"]),
+        loci(&["run", "synthetic:street?frames=3", "--map", text(&map), "--read-only"]),
+    ] {
+        assert_eq!(run.code, 3, "{}", run.stderr);
+        assert!(run.stderr.contains("passed over, for it cannot be read: 1 record ("), "{}", run.stderr);
+    }
+    // A robot goes on recognising, and learns nothing.
+    let run = loci(&["run", "synthetic:street?frames=3", "--map", text(&map)]);
+    assert_eq!(run.code, 3, "{}", run.stderr);
+    for part in [way_out[0], way_out[1], "going on read-only, nothing more is learnt"] {
+        assert!(run.stderr.contains(part), "{}", run.stderr);
+    }
+    assert!(fs::read(map.join(JOURNAL)).unwrap() == before, "the damaged map was changed");
+    let compacted = loci(&["map", "compact", text(&map), "--repair"]);
     assert_eq!((compacted.code, compacted.stderr.lines().count()), (3, 1), "{}", compacted.stderr);
-    assert!(compacted.stderr.contains("other records: 1") && compacted.stderr.contains(JOURNAL));
+    assert!(compacted.stderr.contains("1 record (") && compacted.stderr.contains(JOURNAL));
     let info = json("info", &map, &[]);
     assert_eq!((&info["experiences"], &info["places"]), (&3.into(), &2.into()));
     assert_eq!(json("verify", &map, &[])["damaged"], false);

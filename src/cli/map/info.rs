@@ -7,14 +7,15 @@ use clap::Args;
 use loci::place_map::{MapSummary, PlaceMap};
 use serde::Serialize;
 
-use super::report_torn_tail;
+use super::report_losses;
 use crate::cli::Outcome;
 use crate::cli::console::{counted, say};
 
 /// Arguments of `loci map info`.
 #[derive(Args)]
 #[command(after_help = "Examples:\n  loci map info maps/site\n  loci map info maps/site --json\n\n\
-    A run may write the map meanwhile. The exit code is 3 where the last record is torn or keyframes cannot be read.")]
+    A run may write the map meanwhile. The exit code is 3 where something cannot be read, the torn last \
+    record included.")]
 pub(in crate::cli) struct InfoArguments {
     /// Folder of the map
     map: PathBuf,
@@ -52,6 +53,8 @@ struct Files {
     /// Bytes of those records that count.
     live_bytes: u64,
     torn_bytes: u64,
+    /// Records that cannot be read.
+    passed_over: usize,
     snapshot_bytes: u64,
     /// Why the snapshot could not be used.
     snapshot_fault: Option<String>,
@@ -62,17 +65,26 @@ pub(super) fn run(arguments: &InfoArguments) -> anyhow::Result<Outcome> {
     let map = PlaceMap::open_read_only(&arguments.map)?;
     let MapSummary { places, named_places, merged_places, experiences, keyframes, .. } = map.summary();
     let MapSummary { segments, journal_bytes, live_bytes, torn_bytes, snapshot_bytes, .. } = map.summary();
+    let passed_over = map.summary().passed_over;
     let (models, unreadable) = map.models()?;
     let unreadable_keyframes = unreadable.as_ref().map_or(0, |unreadable| unreadable.keyframes);
     let snapshot_fault = map.snapshot_fault().map(ToString::to_string);
     let info = Info {
         map: arguments.map.display().to_string(),
         known: Known { places, named_places, merged_places, experiences, keyframes, unreadable_keyframes },
-        files: Files { segments, journal_bytes, live_bytes, torn_bytes, snapshot_bytes, snapshot_fault },
+        files: Files {
+            segments,
+            journal_bytes,
+            live_bytes,
+            torn_bytes,
+            passed_over,
+            snapshot_bytes,
+            snapshot_fault,
+        },
         models,
     };
     say(&if arguments.json { serde_json::to_string(&info)? } else { info.to_string() })?;
-    let torn = report_torn_tail(&map, &arguments.map);
+    let torn = report_losses(&map, &arguments.map);
     Ok(unreadable.map_or(torn, |unreadable| {
         eprintln!("loci: {unreadable}");
         Outcome::Lost

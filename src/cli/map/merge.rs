@@ -13,7 +13,7 @@ use loci::storage::{DiskFolder, Folder, WriterLock};
 use loci::vocabulary::VocabularySet;
 use serde::Serialize;
 
-use super::{folder_of, refuse_inside, report_torn_tail};
+use super::{folder_of, refuse_inside, report_losses};
 use crate::cli::console::{counted, say, spinner};
 use crate::cli::settings::StreamSettings;
 use crate::cli::size::Size;
@@ -137,7 +137,7 @@ pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
         say(&conclusion(&report, arguments))?;
     }
     left_out.iter().flatten().for_each(report_left_out);
-    let torn = [(a.map(), &arguments.a), (b.map(), &arguments.b)].map(|(map, at)| report_torn_tail(map, at));
+    let torn = [(a.map(), &arguments.a), (b.map(), &arguments.b)].map(|(map, at)| report_losses(map, at));
     let is_lost = left_out.iter().any(Option::is_some) || torn.contains(&Outcome::Lost);
     Ok(if is_lost { Outcome::Lost } else { Outcome::Done })
 }

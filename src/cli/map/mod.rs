@@ -44,11 +44,14 @@ pub(super) fn run(command: MapCommand) -> anyhow::Result<Outcome> {
     }
 }
 
-/// Says whether a power cut tore the last record of `map`, which is only read, from `folder`.
-fn report_torn_tail(map: &PlaceMap, folder: &Path) -> Outcome {
+/// Says what of `map`, which is only read, from `folder`, could not be read.
+fn report_losses(map: &PlaceMap, folder: &Path) -> Outcome {
+    if let Some(passed_over) = map.passed_over() {
+        eprintln!("loci: {passed_over}; `loci map compact --repair` gives it up");
+    }
     let torn_bytes = map.summary().torn_bytes;
     if torn_bytes == 0 {
-        return Outcome::Done;
+        return if map.passed_over().is_some() { Outcome::Lost } else { Outcome::Done };
     }
     let torn = counted(torn_bytes, "byte");
     eprintln!(

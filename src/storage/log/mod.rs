@@ -130,6 +130,18 @@ impl RecordLog {
         Self { shared: Arc::new(Shared::new(file, path, LOG_HEADER_BYTES)) }
     }
 
+    /// A log whose first `length_bytes` may hold anything: only [`read`](Self::read) and those who look after it can
+    /// make something of it.
+    #[must_use]
+    pub fn unread(file: Arc<dyn AppendFile>, path: &Path, length_bytes: u64) -> Self {
+        Self { shared: Arc::new(Shared::new(file, path, length_bytes)) }
+    }
+
+    /// Leaves out what stands behind byte `length_bytes` of a log in which nothing was written yet.
+    pub fn end_at(&self, length_bytes: u64) {
+        self.shared.end.store(length_bytes.min(self.length_bytes()), Ordering::Release);
+    }
+
     /// Adds records, all in one write, and answers their offsets. They survive a power cut once
     /// [`sync`](Self::sync) returned.
     ///

@@ -160,7 +160,10 @@ fn a_log_that_stands_under_the_name_of_another_one_is_refused_and_one_that_says_
     for tail in [Tail::Mended, Tail::Ignored, Tail::Sealed] {
         bytes[12..16].copy_from_slice(&[3, 1, 0, 0]);
         let error = reopened(bytes.clone(), tail).err().unwrap().to_string();
-        assert_eq!(error, "log is number 259 of a test log, not 258: give every file its own name again");
+        assert_eq!(
+            error,
+            "log is number 259 of a test log, not 258: it was renamed or copied; give every file its own name again"
+        );
         bytes[12..16].copy_from_slice(&[0; 4]);
         let (_, recovery, records) = reopened(bytes.clone(), tail).unwrap();
         assert_eq!((recovery.torn_bytes, records), (0, vec![b"first".to_vec()]));

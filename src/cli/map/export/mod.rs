@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use self::output::Output;
 use self::rows::Rows;
-use super::{folder_of, real_path, refuse_inside, report_torn_tail};
+use super::{folder_of, real_path, refuse_inside, report_losses};
 use crate::cli::console::{counted, say};
 use crate::cli::{Outcome, WrongArgument, stream};
 
@@ -114,7 +114,7 @@ pub(super) fn run(arguments: &ExportArguments) -> anyhow::Result<Outcome> {
     if arguments.out != Path::new(STDOUT) {
         say(&if arguments.json { serde_json::to_string(&report)? } else { described(&report) })?;
     }
-    let torn = report_torn_tail(&map, &arguments.map);
+    let torn = report_losses(&map, &arguments.map);
     Ok(if report.skipped > 0 { Outcome::Lost } else { torn })
 }
 
