@@ -139,19 +139,22 @@ pub fn map_snapshot(bytes: &[u8]) {
     }
 }
 
-/// Opens a map as the program does: whatever is repaired and read must be there again the next time.
+/// Opens a map as the program does: whatever is mended and read must be there again the next time.
 fn read_map(folder: &Path) {
     let verified = accepted(PlaceMap::verify(folder, &|_, _| ()));
-    let found = accepted(PlaceMap::open_read_only(folder)).map(|map| contents(&map));
+    let read = accepted(PlaceMap::open_read_only(folder));
+    let is_whole = read.as_ref().is_some_and(|map| map.passed_over().is_none());
+    let found = read.map(|map| contents(&map));
     let is_sound = verified.is_some_and(|verified| !verified.is_damaged());
     assert!(found.is_some() || !is_sound, "what is sound cannot be read");
     let opened = PlaceMap::open(folder, MapOptions::default());
     // Then the journal may have lost its end: it is read, but not written.
     let is_ahead = matches!(opened, Err(MapError::Storage(StorageError::Ahead { .. })));
     let Some(mut map) = accepted(opened) else {
-        assert!(found.is_none() || is_ahead, "what can be read cannot be opened for writing");
-        return;
+        assert!(!is_whole || is_ahead, "what can be read cannot be opened for writing");
+        return repair(folder, found.filter(|_| !is_ahead));
     };
+    assert!(is_whole, "what cannot be read was opened for writing");
     let (places, experiences) = contents(&map);
     assert_eq!(found, Some((places.clone(), experiences.clone())), "what can be written cannot be read");
     for experience in map.experiences() {
@@ -165,8 +168,26 @@ fn read_map(folder: &Path) {
     let grown = contents(&map);
     assert_eq!((grown.0.len(), grown.1.len()), (places.len() + 1, experiences.len() + 1));
     drop(map);
-    let map = accepted(PlaceMap::open_read_only(folder)).expect("the map that was just repaired");
+    let map = accepted(PlaceMap::open_read_only(folder)).expect("the map that was just mended");
     assert_eq!((map.summary().torn_bytes, contents(&map)), (0, grown));
+}
+
+/// Repairs a damaged map, of which `found` could be read: then it is sound.
+fn repair(folder: &Path, found: Option<(Vec<String>, Vec<String>)>) {
+    let Some(mut map) = accepted(PlaceMap::open_damaged(folder, MapOptions::default())) else {
+        assert!(found.is_none(), "what can be read cannot be repaired");
+        return;
+    };
+    assert!(found.is_none_or(|found| found == contents(&map)), "what can be read is lost by the repair");
+    if accepted(map.compact()).is_none() {
+        return;
+    }
+    let kept = contents(&map);
+    drop(map);
+    let verified = accepted(PlaceMap::verify(folder, &|_, _| ())).expect("the map that was just repaired");
+    assert!(!verified.is_damaged() && verified.refusal.is_none(), "{verified:?}");
+    let map = accepted(PlaceMap::open(folder, MapOptions::default())).expect("the map that was just repaired");
+    assert_eq!(contents(&map), kept);
 }
 
 /// Places and experiences, as text because a stored number may be NaN.
