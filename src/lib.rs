@@ -6,6 +6,8 @@
 
 #[cfg(feature = "evaluation")]
 pub mod evaluation;
+#[cfg(feature = "train")]
+pub mod training;
 
 pub mod pipeline;
 

@@ -5,9 +5,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules and their floors; neighbours on one floor do not know each other.
-const FLOORS: [(&str, u32); 19] = [
+const FLOORS: [(&str, u32); 20] = [
     ("cli", 9),
     ("evaluation", 8),
+    ("training", 8),
     ("pipeline", 7),
     ("source", 6),
     ("telemetry", 6),

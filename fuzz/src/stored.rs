@@ -186,7 +186,8 @@ fn repair(folder: &Path, found: Option<(Vec<String>, Vec<String>)>) {
     drop(map);
     let verified = accepted(PlaceMap::verify(folder, &|_, _| ())).expect("the map that was just repaired");
     assert!(!verified.is_damaged() && verified.refusal.is_none(), "{verified:?}");
-    let map = accepted(PlaceMap::open(folder, MapOptions::default())).expect("the map that was just repaired");
+    let map =
+        accepted(PlaceMap::open(folder, MapOptions::default())).expect("the map that was just repaired");
     assert_eq!(contents(&map), kept);
 }
 

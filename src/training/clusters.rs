@@ -1,0 +1,363 @@
+//! The classes: places of one or more maps that have enough experiences (the paper's section III.B), each parted by
+//! time into what is learnt and what is held out.
+
+use std::collections::BTreeSet;
+
+use crate::frame::Pose;
+use crate::place_map::{Experience, ExperienceId, MapError, Place, PlaceId, PlaceMap};
+
+/// Captures further apart than this belong to two visits.
+const VISIT_GAP_NANOS: i64 = 5_000_000_000;
+/// Experiences that differ by no more in light, in grey levels, and not at all in view tell nothing new.
+const SAME_LIGHT: f32 = 1.0;
+/// Views that far apart, in radians, do not show the same however near the robot stands: half a right angle.
+const MOST_TURN: f64 = std::f64::consts::FRAC_PI_4;
+
+/// What makes a place a class.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClusterRules {
+    /// Fewest experiences; the paper leaves smaller clusters out.
+    pub min_samples: usize,
+    /// Share of a class's experiences, the latest ones, that are held out, between 0 and 1.
+    pub held_out_share: f64,
+    /// How near to a keyframe of a class an experience of a place that is none must have been to join it, in metres,
+    /// where both know their pose (the paper's section III.C.2).
+    pub pose_radius_metres: f64,
+}
+
+impl Default for ClusterRules {
+    fn default() -> Self {
+        Self { min_samples: 20, held_out_share: 0.2, pose_radius_metres: 1.0 }
+    }
+}
+
+/// An experience of a class.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Its number in the map.
+    pub experience: ExperienceId,
+    /// When it was seen.
+    pub capture_nanos: i64,
+    /// Difference hash of the frame; 0 if it has none.
+    pub view: u64,
+    /// Mean luminance of the frame, 0 to 255, where it is known.
+    pub mean_luminance: Option<f32>,
+}
+
+/// A place to be learnt.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Class {
+    /// Which of the maps it is of.
+    pub map: usize,
+    /// Its number there.
+    pub place: PlaceId,
+    /// Its name, if it has one.
+    pub name: Option<String>,
+    /// What is learnt, in the order of time.
+    pub learnt: Vec<Sample>,
+    /// What is not, later than all that is.
+    pub held_out: Vec<Sample>,
+}
+
+/// The classes that maps hold, and what was left out.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Clusters {
+    /// The classes, by map and number.
+    pub classes: Vec<Class>,
+    /// Experiences of every place that has any, the largest first: the paper's Fig. 2.
+    pub sizes: Vec<usize>,
+    /// Places with too few experiences.
+    pub small_places: usize,
+    /// Experiences that tell nothing that another one of their place does not.
+    pub duplicates: usize,
+    /// Experiences of small places that joined a class since they were seen where it is.
+    pub joined_by_pose: usize,
+    /// Experiences whose records cannot be read.
+    pub unreadable: usize,
+}
+
+/// A place's experiences that differ, in the order of time.
+struct Cluster<'a> {
+    place: &'a Place,
+    samples: Vec<Sample>,
+}
+
+impl Clusters {
+    /// The classes that `maps` hold by `rules`.
+    ///
+    /// # Errors
+    /// If the medium fails.
+    pub fn of(maps: &[&PlaceMap], rules: &ClusterRules) -> Result<Self, MapError> {
+        let mut clusters = Self::default();
+        for (index, map) in maps.iter().enumerate() {
+            clusters.add(index, map, rules)?;
+        }
+        clusters.sizes.sort_unstable_by_key(|&size| std::cmp::Reverse(size));
+        Ok(clusters)
+    }
+
+    fn add(&mut self, index: usize, map: &PlaceMap, rules: &ClusterRules) -> Result<(), MapError> {
+        let mut found = Vec::new();
+        for place in map.places().filter(|place| !place.experiences.is_empty()) {
+            self.sizes.push(place.experiences.len());
+            found.push(Cluster { place, samples: self.samples(map, place)? });
+        }
+        let is_large = |cluster: &Cluster<'_>| cluster.samples.len() >= rules.min_samples.max(2);
+        let (mut large, small): (Vec<_>, Vec<_>) = found.into_iter().partition(is_large);
+        self.small_places += small.len();
+        self.joined_by_pose += join_by_pose(map, &mut large, &small, rules.pose_radius_metres)?;
+        self.classes.extend(large.into_iter().map(|Cluster { place, samples }| {
+            let border = border(&samples, rules.held_out_share);
+            let (learnt, held_out) = samples.split_at(border);
+            let (learnt, held_out) = (learnt.to_vec(), held_out.to_vec());
+            Class { map: index, place: place.id, name: place.name.clone(), learnt, held_out }
+        }));
+        Ok(())
+    }
+
+    /// The experiences of a place that differ.
+    fn samples(&mut self, map: &PlaceMap, place: &Place) -> Result<Vec<Sample>, MapError> {
+        let mut samples: Vec<Sample> = Vec::new();
+        for experience in place.experiences.iter().filter_map(|&id| map.experience(id)) {
+            match map.origin(experience.id) {
+                Ok(origin) => samples.push(Sample::new(experience, origin.capture_nanos)),
+                Err(error) if error.is_damage() => self.unreadable += 1,
+                Err(error) => return Err(error),
+            }
+        }
+        samples.sort_by_key(|sample| (sample.capture_nanos, sample.experience));
+        let all = samples.len();
+        let mut different: Vec<Sample> = Vec::new();
+        for sample in samples {
+            if !different.iter().any(|known| known.is_like(&sample)) {
+                different.push(sample);
+            }
+        }
+        self.duplicates += all - different.len();
+        Ok(different)
+    }
+
+    /// Classes that can be told apart only if there are two.
+    #[must_use]
+    pub fn are_enough(&self) -> bool {
+        self.classes.len() > 1
+    }
+}
+
+impl Sample {
+    fn new(experience: &Experience, capture_nanos: i64) -> Self {
+        let &Experience { id, view, mean_luminance, .. } = experience;
+        Self { experience: id, capture_nanos, view, mean_luminance }
+    }
+
+    /// Whether nothing can be learnt from the one that the other does not teach.
+    fn is_like(&self, other: &Self) -> bool {
+        let is_same_light = match (self.mean_luminance, other.mean_luminance) {
+            (Some(one), Some(other)) => (one - other).abs() <= SAME_LIGHT,
+            _ => false,
+        };
+        self.view != 0 && self.view == other.view && is_same_light
+    }
+}
+
+/// How many of `samples`, in the order of time, are learnt: the others are a `share` of them at least, and begin with a
+/// visit, so that no frame is held out whose neighbour is learnt; unless that would be most of them.
+fn border(samples: &[Sample], share: f64) -> usize {
+    let count = samples.len();
+    let held_out = ((count as f64 * share.clamp(0.0, 1.0)).ceil() as usize).clamp(1, count - 1);
+    let wanted = count - held_out;
+    let begins_visit = |&at: &usize| {
+        samples[at].capture_nanos.saturating_sub(samples[at - 1].capture_nanos) > VISIT_GAP_NANOS
+    };
+    (count.div_ceil(2)..=wanted).rev().find(begins_visit).unwrap_or(wanted)
+}
+
+/// Moves what was seen near a keyframe of a large cluster from the small ones there; answers how many that were.
+fn join_by_pose(
+    map: &PlaceMap,
+    large: &mut [Cluster<'_>],
+    small: &[Cluster<'_>],
+    radius_metres: f64,
+) -> Result<usize, MapError> {
+    let mut poses = Vec::new();
+    for (index, cluster) in large.iter().enumerate() {
+        for &id in &cluster.place.experiences {
+            let is_keyframe = map.experience(id).is_some_and(|experience| experience.is_keyframe);
+            if let Some(pose) = pose_of(map, id)?.filter(|_| is_keyframe) {
+                poses.push((index, pose));
+            }
+        }
+    }
+    if poses.is_empty() {
+        return Ok(0);
+    }
+    let mut grown = BTreeSet::new();
+    let mut joined = 0;
+    for sample in small.iter().flat_map(|cluster| &cluster.samples) {
+        let Some(pose) = pose_of(map, sample.experience)? else { continue };
+        let near = poses.iter().filter(|(_, known)| is_same_view(known, &pose, radius_metres));
+        let nearest = near.min_by(|(_, a), (_, b)| distance(a, &pose).total_cmp(&distance(b, &pose)));
+        if let Some(&(index, _)) = nearest {
+            large[index].samples.push(*sample);
+            grown.insert(index);
+            joined += 1;
+        }
+    }
+    for index in grown {
+        large[index].samples.sort_by_key(|sample| (sample.capture_nanos, sample.experience));
+    }
+    Ok(joined)
+}
+
+/// Where an experience was seen from; nothing if it does not know or cannot be read.
+fn pose_of(map: &PlaceMap, id: ExperienceId) -> Result<Option<Pose>, MapError> {
+    match map.origin(id) {
+        Ok(origin) => Ok(origin.pose),
+        Err(error) if error.is_damage() => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+fn is_same_view(one: &Pose, other: &Pose, radius_metres: f64) -> bool {
+    let cosine: f64 = one.orientation.iter().zip(other.orientation).map(|(a, b)| a * b).sum();
+    let turn = 2.0 * cosine.abs().min(1.0).acos();
+    distance(one, other) <= radius_metres && turn <= MOST_TURN
+}
+
+fn distance(one: &Pose, other: &Pose) -> f64 {
+    one.position_metres.iter().zip(other.position_metres).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::feature::Features;
+    use crate::frame::Frame;
+    use crate::place_map::{MapOptions, NewExperience, Traits};
+    use crate::raster::{GreyImage, RgbImage};
+
+    const SECOND: i64 = 1_000_000_000;
+
+    /// What is learnt of a place: when, how it looks, and where it was seen.
+    struct Look {
+        seconds: i64,
+        view: u64,
+        position_metres: Option<[f64; 3]>,
+    }
+
+    fn learn(map: &mut PlaceMap, place: Option<PlaceId>, look: &Look) -> PlaceId {
+        let orientation = [0.0, 0.0, 0.0, 1.0];
+        let frame = Frame {
+            index: 0,
+            capture_nanos: look.seconds * SECOND,
+            name: String::new(),
+            colour: RgbImage::new(1, 1),
+            grey: GreyImage::new(1, 1),
+            jpeg: None,
+            pose: look.position_metres.map(|position_metres| Pose { position_metres, orientation }),
+            true_place: None,
+        };
+        let (features, traits) = (Features::default(), Traits::default());
+        let new = NewExperience {
+            frame: &frame,
+            view: look.view,
+            mean_luminance: 100.0,
+            thumbnail_jpeg: b"jpeg",
+            keyframe: place.is_none().then_some((&features, &traits)),
+        };
+        map.learn(place, &new).unwrap().place
+    }
+
+    /// A place seen every second from `begin` on, so many times, each time differently.
+    fn visited(map: &mut PlaceMap, place: Option<PlaceId>, begin: i64, count: i64) -> PlaceId {
+        let look = |seconds| Look { seconds, view: 1 + seconds as u64, position_metres: None };
+        let place = learn(map, place, &look(begin));
+        (begin + 1..begin + count)
+            .for_each(|seconds| assert_eq!(learn(map, Some(place), &look(seconds)), place));
+        place
+    }
+
+    fn clusters(maps: &[&PlaceMap], min_samples: usize) -> Clusters {
+        Clusters::of(maps, &ClusterRules { min_samples, ..ClusterRules::default() }).unwrap()
+    }
+
+    #[test]
+    fn places_with_enough_experiences_are_the_classes_of_all_maps() {
+        let [mut one, mut other] = [(); 2].map(|()| PlaceMap::in_memory(MapOptions::default()).unwrap());
+        visited(&mut one, None, 0, 9);
+        let hall = visited(&mut one, None, 100, 30);
+        one.name_place(hall, "hall").unwrap();
+        visited(&mut other, None, 0, 20);
+        let found = clusters(&[&one, &other], 20);
+        let classes: Vec<_> = found.classes.iter().map(|class| (class.map, class.place.0)).collect();
+        assert_eq!(classes, [(0, 1), (1, 0)]);
+        assert_eq!(found.classes[0].name.as_deref(), Some("hall"));
+        assert_eq!((found.sizes, found.small_places), (vec![30, 20, 9], 1));
+    }
+
+    #[test]
+    fn the_latest_fifth_is_held_out_never_a_frame_from_among_those_that_are_learnt() {
+        let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
+        visited(&mut map, None, 0, 20);
+        let found = clusters(&[&map], 20);
+        let [class] = &found.classes[..] else { panic!("{found:?}") };
+        assert_eq!((class.learnt.len(), class.held_out.len()), (16, 4));
+        let latest_learnt = class.learnt.iter().map(|sample| sample.capture_nanos).max();
+        assert!(class.held_out.iter().all(|sample| Some(sample.capture_nanos) > latest_learnt));
+    }
+
+    #[test]
+    fn a_visit_is_held_out_whole_unless_it_is_most_of_the_place() {
+        for (visits, learnt) in [(&[12, 8][..], 12), (&[14, 3, 3], 14), (&[4, 16], 16), (&[10, 5, 5], 15)] {
+            let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
+            let mut place = None;
+            for (index, &count) in visits.iter().enumerate() {
+                place = Some(visited(&mut map, place, 1000 * index as i64, count));
+            }
+            assert_eq!(clusters(&[&map], 20).classes[0].learnt.len(), learnt, "{visits:?}");
+        }
+    }
+
+    #[test]
+    fn what_looks_the_same_counts_once() {
+        let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
+        let place = visited(&mut map, None, 0, 20);
+        for seconds in 0..10 {
+            learn(&mut map, Some(place), &Look { seconds: 50 + seconds, view: 3, position_metres: None });
+        }
+        let found = clusters(&[&map], 20);
+        assert_eq!((found.duplicates, found.classes[0].learnt.len()), (10, 16));
+        assert!(clusters(&[&map], 21).classes.is_empty());
+    }
+
+    #[test]
+    fn poses_pull_experiences_of_small_places_into_the_class_that_is_there() {
+        let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
+        let at = |x: f64, seconds: i64| Look {
+            seconds,
+            view: 1 + seconds as u64,
+            position_metres: Some([x, 0.0, 0.0]),
+        };
+        let dock = learn(&mut map, None, &at(0.0, 0));
+        (1..20).for_each(|seconds| assert_eq!(learn(&mut map, Some(dock), &at(0.0, seconds)), dock));
+        for (x, seconds) in [(0.5, 100), (0.9, 101), (3.0, 102)] {
+            learn(&mut map, None, &at(x, seconds));
+        }
+        let found = clusters(&[&map], 20);
+        assert_eq!((found.joined_by_pose, found.small_places, found.classes.len()), (2, 3, 1));
+        assert_eq!(found.classes[0].learnt.len() + found.classes[0].held_out.len(), 22);
+        let rules = ClusterRules { pose_radius_metres: 0.6, ..ClusterRules::default() };
+        assert_eq!(Clusters::of(&[&map], &rules).unwrap().joined_by_pose, 1);
+    }
+
+    #[test]
+    fn a_view_to_the_other_side_is_another_view() {
+        let pose = |orientation| Pose { position_metres: [0.0; 3], orientation };
+        let ahead = pose([0.0, 0.0, 0.0, 1.0]);
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        assert!(is_same_view(&ahead, &pose([0.0, 0.0, 0.2, 0.98]), 1.0));
+        assert!(is_same_view(&ahead, &pose([0.0, 0.0, 0.0, -1.0]), 1.0), "the same turn written otherwise");
+        assert!(!is_same_view(&ahead, &pose([0.0, 0.0, half, half]), 1.0));
+        assert!(!is_same_view(&ahead, &pose([0.0, 0.0, 1.0, 0.0]), 1.0));
+    }
+}

@@ -1,0 +1,159 @@
+//! Feature vectors of images whose classes are known, and how often the nearest class is the right one.
+
+/// Feature vectors with their classes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Labelled {
+    /// Values of a vector.
+    width: usize,
+    /// Vectors of unit length, one after the other.
+    values: Vec<f32>,
+    classes: Vec<usize>,
+}
+
+impl Labelled {
+    /// No vectors of `width` values each.
+    #[must_use]
+    pub fn new(width: usize) -> Self {
+        Self { width, ..Self::default() }
+    }
+
+    /// Adds a vector, in whatever length, of `class`; one without a direction is left out.
+    ///
+    /// # Panics
+    /// If the vector has another width.
+    pub fn push(&mut self, vector: &[f32], class: usize) {
+        assert_eq!(vector.len(), self.width, "width of the vector");
+        let length = norm(vector);
+        if length > 0.0 && length.is_finite() {
+            self.values.extend(vector.iter().map(|value| value / length));
+            self.classes.push(class);
+        }
+    }
+
+    /// Number of vectors.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.classes.len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.classes.is_empty()
+    }
+
+    /// Values of a vector.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// One more than the largest class.
+    #[must_use]
+    pub fn class_count(&self) -> usize {
+        self.classes.iter().max().map_or(0, |&class| class + 1)
+    }
+
+    /// Class of every vector.
+    #[must_use]
+    pub fn classes(&self) -> &[usize] {
+        &self.classes
+    }
+
+    /// The vector numbered `index`.
+    #[must_use]
+    pub fn vector(&self, index: usize) -> &[f32] {
+        &self.values[index * self.width..][..self.width]
+    }
+
+    /// Mean direction of every class: what the class looks like without any training. `[classes, width]`; zeros of a
+    /// class without vectors.
+    #[must_use]
+    pub fn prototypes(&self) -> Vec<f32> {
+        let mut prototypes = vec![0.0; self.class_count() * self.width];
+        for (index, &class) in self.classes.iter().enumerate() {
+            let prototype = &mut prototypes[class * self.width..][..self.width];
+            prototype.iter_mut().zip(self.vector(index)).for_each(|(sum, value)| *sum += value);
+        }
+        for prototype in prototypes.chunks_exact_mut(self.width) {
+            let length = norm(prototype).max(f32::MIN_POSITIVE);
+            prototype.iter_mut().for_each(|value| *value /= length);
+        }
+        prototypes
+    }
+
+    /// The vectors times `matrix`, `[width, columns]`.
+    #[must_use]
+    pub fn projected(&self, matrix: &[f32]) -> Self {
+        let columns = matrix.len() / self.width.max(1);
+        let mut projected = Self::new(columns);
+        let mut product = vec![0.0; columns];
+        for (index, &class) in self.classes.iter().enumerate() {
+            product.fill(0.0);
+            for (value, row) in self.vector(index).iter().zip(matrix.chunks_exact(columns)) {
+                product.iter_mut().zip(row).for_each(|(sum, weight)| *sum += value * weight);
+            }
+            projected.push(&product, class);
+        }
+        projected
+    }
+
+    /// Share of the vectors whose own class is the nearest of `prototypes` by cosine, `[classes, width]`; 0 of none.
+    #[must_use]
+    pub fn recall(&self, prototypes: &[f32]) -> f64 {
+        let right = (0..self.len()).filter(|&index| {
+            nearest(prototypes, self.vector(index)).is_some_and(|class| class == self.classes[index])
+        });
+        right.count() as f64 / self.len().max(1) as f64
+    }
+}
+
+/// The class nearest to `vector`; the first of equally near ones.
+fn nearest(prototypes: &[f32], vector: &[f32]) -> Option<usize> {
+    let cosine = |prototype: &[f32]| -> f32 { prototype.iter().zip(vector).map(|(a, b)| a * b).sum() };
+    let cosines = prototypes.chunks_exact(vector.len()).map(cosine).enumerate();
+    cosines.reduce(|best, next| if next.1 > best.1 { next } else { best }).map(|(class, _)| class)
+}
+
+fn norm(vector: &[f32]) -> f32 {
+    vector.iter().map(|value| value * value).sum::<f32>().sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labelled(vectors: &[([f32; 2], usize)]) -> Labelled {
+        let mut labelled = Labelled::new(2);
+        vectors.iter().for_each(|(vector, class)| labelled.push(vector, *class));
+        labelled
+    }
+
+    #[test]
+    fn vectors_are_kept_in_unit_length_and_those_without_direction_not_at_all() {
+        let labelled = labelled(&[([3.0, 4.0], 0), ([0.0, 0.0], 1), ([f32::NAN, 1.0], 2), ([0.0, -2.0], 1)]);
+        assert_eq!((labelled.len(), labelled.class_count(), labelled.classes()), (2, 2, &[0, 1][..]));
+        assert_eq!((labelled.vector(0), labelled.vector(1)), (&[0.6, 0.8][..], &[0.0, -1.0][..]));
+    }
+
+    #[test]
+    fn the_nearest_prototype_is_right_where_a_vector_lies_among_its_own() {
+        let known = labelled(&[([1.0, 0.1], 0), ([1.0, -0.1], 0), ([0.0, 1.0], 1)]);
+        let prototypes = known.prototypes();
+        assert!((prototypes[0] - 1.0).abs() < 1e-6 && prototypes[1].abs() < 1e-6);
+        let asked = labelled(&[([2.0, 1.0], 0), ([1.0, 2.0], 1), ([1.0, 2.0], 0), ([-1.0, 0.5], 1)]);
+        assert_eq!(asked.recall(&prototypes), 0.75);
+        assert_eq!(Labelled::new(2).recall(&prototypes), 0.0);
+    }
+
+    #[test]
+    fn a_projection_is_the_product_with_the_matrix() {
+        let projected = labelled(&[([0.6, 0.8], 3)]).projected(&[1.0, 0.0, 2.0, 0.0, 1.0, 1.0]);
+        let length = (0.6_f32.powi(2) + 0.8_f32.powi(2) + 2.0_f32.powi(2)).sqrt();
+        let expected = [0.6 / length, 0.8 / length, 2.0 / length];
+        assert!(
+            projected.vector(0).iter().zip(expected).all(|(got, expected)| (got - expected).abs() < 1e-6)
+        );
+        assert_eq!((projected.width(), projected.classes()), (3, &[3][..]));
+    }
+}

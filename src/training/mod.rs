@@ -1,0 +1,16 @@
+//! Offline retraining: the places that a robot founded by itself are the classes that its next CNN learns, so nobody
+//! labels anything.
+//!
+//! [`Clusters`] are the classes and what is known of each, parted by time into what is learnt and what is held out.
+//! A [`Head`] is trained on the [`Labelled`] features that a frozen backbone has of their images.
+
+mod clusters;
+mod error;
+mod head;
+mod labelled;
+mod principal;
+
+pub use clusters::{Class, ClusterRules, Clusters, Sample};
+pub use error::TrainingError;
+pub use head::{Epoch, Head, HeadOptions, Loss};
+pub use labelled::Labelled;
