@@ -177,7 +177,7 @@ impl Contents {
                 }
                 here = self.places.get(&at).and_then(|place| place.merged_into);
             }
-            looked_at.append(&mut way);
+            looked_at.extend(way);
         }
         for place in &closing {
             self.places.entry(*place).and_modify(|place| place.merged_into = None);

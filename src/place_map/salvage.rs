@@ -19,7 +19,7 @@ use super::version_1;
 use crate::storage::{Folder, LOG_HEADER_BYTES, RecordLog, Recovery, StorageError, Tail};
 
 /// Places whose records are lost that others may stand for.
-const MOST_LOST_PLACES: usize = 1 << 16;
+const MOST_LOST_PLACES: usize = 1 << 14;
 
 /// What was passed over since it cannot be read.
 #[derive(Debug, thiserror::Error)]
