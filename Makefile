@@ -7,7 +7,7 @@ FUZZ_TARGETS ?=
 # Cameras need libclang to build, so plain cargo leaves them out and every target here puts them in.
 FEATURES ?= v4l
 
-.PHONY: help demo test test-data test-large test-crash soak benchmarks lint bench fuzz deps system-deps test-deps fuzz-deps
+.PHONY: help demo test test-train test-data test-large test-crash soak benchmarks lint bench fuzz deps system-deps test-deps fuzz-deps
 
 help: ## What can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -18,6 +18,10 @@ demo: deps ## Install what is missing, build, and run the main job on a syntheti
 test: deps test-deps ## All tests that need no data from outside
 	$(CARGO) test --no-default-features --lib
 	$(CARGO) test --release --features $(FEATURES)
+
+test-train: deps ## Tests of training, which other builds leave out; building it takes minutes
+	$(CARGO) test --no-default-features --features train,cli --lib -- training:: onnx:: cnn::
+	$(CARGO) test --no-default-features --features train,cli --test behaviour -- train::
 
 test-data: deps ## Tests on real sequences, found by LOCI_DATA
 	$(CARGO) test --release --features $(FEATURES) --test behaviour -- --ignored --nocapture real_

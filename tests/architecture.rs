@@ -30,7 +30,7 @@ const FLOORS: [(&str, u32); 20] = [
 ];
 
 /// Outside libraries and the modules that may use them.
-const HOMES: [(&str, &[&str]); 30] = [
+const HOMES: [(&str, &[&str]); 31] = [
     ("anyhow", &["cli", "main"]),
     ("bytesize", &["cli"]),
     ("clap", &["cli"]),
@@ -48,6 +48,7 @@ const HOMES: [(&str, &[&str]); 30] = [
     ("bincode", &["place_map"]),
     ("ort", &["cnn"]),
     ("sha2", &["cnn", "evaluation"]),
+    ("burn", &["training"]),
     ("half", &["onnx"]),
     ("prost", &["onnx"]),
     ("crc32fast", &["storage"]),

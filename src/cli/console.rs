@@ -86,7 +86,7 @@ pub(super) fn progress_bar(length: Option<u64>, unit: &str, target: ProgressDraw
     let bar = ProgressBar::with_draw_target(length, target);
     // The template is tried by every run with a terminal.
     if let Ok(style) = ProgressStyle::with_template(&format!(
-        "{{spinner}} {{wide_bar}} {{pos}}/{{len}} {unit}, {{eta}} left"
+        "{{spinner}} {{prefix}}{{wide_bar}} {{pos}}/{{len}} {unit}, {{eta}} left"
     )) {
         bar.set_style(style);
     }

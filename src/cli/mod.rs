@@ -14,6 +14,8 @@ mod run;
 mod settings;
 mod size;
 mod stream;
+#[cfg(feature = "train")]
+mod train;
 mod vocab;
 
 use std::process::ExitCode;
@@ -42,7 +44,11 @@ enum Command {
     Map(map::MapCommand),
     /// What works on this computer, what is missing, and how to fix it
     Doctor(doctor::DoctorArguments),
-    /// Retrain the CNN from the map's clusters (not built yet)
+    /// Train a better CNN from the clusters of maps
+    #[cfg(feature = "train")]
+    Train(train::TrainArguments),
+    /// Train a better CNN from the clusters of maps (needs a build with the feature `train`)
+    #[cfg(not(feature = "train"))]
     Train(Anything),
     /// Recognition rate, recall@N, precision and recall, calibration, by a ground truth
     #[cfg(feature = "evaluation")]
@@ -100,7 +106,10 @@ pub(crate) fn run() -> anyhow::Result<Outcome> {
         Command::Vocab(command) => vocab::run(command),
         Command::Map(command) => map::run(command),
         Command::Doctor(arguments) => doctor::run(arguments),
-        Command::Train(_) => not_built("train"),
+        #[cfg(feature = "train")]
+        Command::Train(arguments) => train::run(&arguments),
+        #[cfg(not(feature = "train"))]
+        Command::Train(_) => anyhow::bail!("this build trains no CNN; build with `--features train`"),
         #[cfg(feature = "evaluation")]
         Command::Evaluate(arguments) => evaluate::run(*arguments),
         Command::Sync(_) => not_built("sync"),

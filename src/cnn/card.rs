@@ -9,7 +9,7 @@ use std::io::Read;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::error::{CnnError, one_line};
 
@@ -19,7 +19,7 @@ const SIDE_PX: RangeInclusive<usize> = 16..=1024;
 const DIMENSIONS: RangeInclusive<usize> = 1..=8192;
 
 /// A model card.
-#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelCard {
     /// Name of the model, such as `efficientnet-lite0`.
@@ -46,10 +46,13 @@ pub struct ModelCard {
     pub training: TrainingCard,
     /// Measured figures, for people: name to value with unit.
     pub metrics: BTreeMap<String, String>,
+    /// The places that it was trained on, in the order of its output `class_scores`; none if it has no such output.
+    #[serde(default, rename = "class", skip_serializing_if = "Vec::is_empty")]
+    pub classes: Vec<ClassCard>,
 }
 
 /// The network's input: RGB planes `[1, 3, height, width]` of (value − mean) · scale.
-#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct InputCard {
     /// Name of the input in the graph.
@@ -65,7 +68,7 @@ pub struct InputCard {
 }
 
 /// The network's output: `[1, dimensions]`.
-#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct DescriptorCard {
     /// Name of the output in the graph.
@@ -75,7 +78,7 @@ pub struct DescriptorCard {
 }
 
 /// What a cosine between two descriptors means.
-#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct DecisionCard {
     /// A cosine above this recognises the place, in [-1, 1].
@@ -87,11 +90,25 @@ pub struct DecisionCard {
 }
 
 /// What the network and its calibration learnt from.
-#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingCard {
     /// The data, for people.
     pub data: String,
+}
+
+/// A place that the network was trained on.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClassCard {
+    /// Its number in the map that it was trained from.
+    pub place: u32,
+    /// Its name then, if it had one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Difference hashes of some of its experiences, 16 hexadecimal digits each: by them it is found in a map in which
+    /// its number is another one.
+    pub views: Vec<String>,
 }
 
 impl ModelCard {

@@ -24,10 +24,12 @@ mod library;
 mod model;
 mod preprocess;
 mod runtime;
+#[cfg(feature = "train")]
+mod saving;
 mod search;
 mod signature;
 
-pub use card::{DecisionCard, DescriptorCard, InputCard, ModelCard, TrainingCard};
+pub use card::{ClassCard, DecisionCard, DescriptorCard, InputCard, ModelCard, TrainingCard};
 pub use compact::CompactDescriptor;
 pub use descriptor::Descriptor;
 pub use error::CnnError;
@@ -35,4 +37,6 @@ pub use library::{LibraryFault, OLDEST_RUNTIME, RuntimeVersion};
 pub use model::{CARD_FILE, DescriptorModel, MODEL_FILE};
 pub use preprocess::Preprocessor;
 pub use runtime::OnnxRuntime;
+#[cfg(feature = "train")]
+pub use saving::save_model;
 pub use search::{FoundLibrary, SearchedPlace, Surroundings, find_runtime};

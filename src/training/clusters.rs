@@ -162,7 +162,7 @@ impl Sample {
 
 /// How many of `samples`, in the order of time, are learnt: the others are a `share` of them at least, and begin with a
 /// visit, so that no frame is held out whose neighbour is learnt; unless that would be most of them.
-fn border(samples: &[Sample], share: f64) -> usize {
+pub(super) fn border(samples: &[Sample], share: f64) -> usize {
     let count = samples.len();
     let held_out = ((count as f64 * share.clamp(0.0, 1.0)).ceil() as usize).clamp(1, count - 1);
     let wanted = count - held_out;

@@ -1,6 +1,9 @@
 //! Why a training ended without a model.
 
+use crate::cnn::CnnError;
 use crate::onnx::OnnxError;
+use crate::place_map::MapError;
+use crate::storage::StorageError;
 
 /// Why a training ended without a model.
 #[derive(Debug, thiserror::Error)]
@@ -21,6 +24,15 @@ pub enum TrainingError {
     /// Somebody wanted no more of it.
     #[error("interrupted")]
     Interrupted,
+    /// An image could not be described.
+    #[error(transparent)]
+    Cnn(#[from] CnnError),
+    /// A map cannot be read.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// The model cannot be written.
+    #[error(transparent)]
+    Storage(#[from] StorageError),
     /// The backbone takes no head.
     #[error(transparent)]
     Onnx(#[from] OnnxError),

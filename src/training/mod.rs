@@ -4,13 +4,20 @@
 //! [`Clusters`] are the classes and what is known of each, parted by time into what is learnt and what is held out.
 //! A [`Head`] is trained on the [`Labelled`] features that a frozen backbone has of their images.
 
+mod calibration;
 mod clusters;
 mod error;
+mod gathering;
 mod head;
 mod labelled;
 mod principal;
+mod trained_model;
 
+pub use burn::tensor::Device;
+pub use calibration::Calibration;
 pub use clusters::{Class, ClusterRules, Clusters, Sample};
 pub use error::TrainingError;
+pub use gathering::{Gathered, gather};
 pub use head::{Epoch, Head, HeadOptions, Loss};
 pub use labelled::Labelled;
+pub use trained_model::TrainedModel;

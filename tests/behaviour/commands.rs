@@ -8,10 +8,13 @@ use crate::program::{finished, loci, loci_with_vocabulary_variable, text};
 
 #[test]
 fn commands_that_are_not_built_say_so_and_fail() {
-    for command in ["train", "sync", "review", "bench", "devices"] {
+    for command in ["sync", "review", "bench", "devices"] {
         let message = format!("`loci {command}` is not built yet");
         loci(&[command, "--with", "anything"]).assert_failed(1, &[&message]);
     }
+    #[cfg(not(feature = "train"))]
+    loci(&["train", "maps/site", "--out", "models/site"])
+        .assert_failed(1, &["build with `--features train`"]);
 }
 
 #[test]

@@ -10,3 +10,5 @@ mod misfortune;
 mod program;
 mod real_sequences;
 mod stream;
+#[cfg(feature = "train")]
+mod train;

@@ -1,0 +1,64 @@
+//! A model written to a folder of its own, whole or not at all.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use super::card::ModelCard;
+use super::engine::sha256_hex;
+use super::model::{CARD_FILE, MODEL_FILE};
+use crate::storage::{BESIDE_SUFFIX, DiskFolder, Folder, StorageError, create_folders, replace};
+
+/// Makes `folder` the folder of the model of these bytes, whose hash is put into `card`. Whenever power fails, there is
+/// either no such folder or all of it.
+///
+/// # Errors
+/// If there is something at `folder` already, or it cannot be written.
+pub fn save_model(folder: &Path, card: &mut ModelCard, network: &[u8]) -> Result<(), StorageError> {
+    let error = |source| StorageError::Io { action: "write", path: folder.to_owned(), source };
+    if folder.exists() {
+        return Err(error(io::Error::new(
+            io::ErrorKind::AlreadyExists,
+            "it is there already; choose another",
+        )));
+    }
+    card.sha256 = sha256_hex(network);
+    let text = toml::to_string(card).map_err(|reason| error(io::Error::other(reason)))?;
+    let mut beside = folder.as_os_str().to_owned();
+    beside.push(BESIDE_SUFFIX);
+    let beside = Path::new(&beside);
+    let parent = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let write = || {
+        if beside.exists() {
+            fs::remove_dir_all(beside)?;
+        }
+        create_folders(beside)?;
+        let written = DiskFolder::new(beside);
+        replace(&written, MODEL_FILE, &[network])?;
+        replace(&written, CARD_FILE, &[text.as_bytes()])?;
+        fs::rename(beside, folder)?;
+        DiskFolder::new(parent).sync()
+    };
+    write().map_err(error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::card::tests::CARD;
+    use super::*;
+
+    #[test]
+    fn a_saved_model_reads_back_and_takes_no_other_ones_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("models/site");
+        let mut card: ModelCard = toml::from_str(CARD).unwrap();
+        card.classes.push(super::super::ClassCard { place: 3, name: None, views: vec!["00ff".to_owned()] });
+        save_model(&path, &mut card, b"network").unwrap();
+        assert_eq!(ModelCard::read(&path.join(CARD_FILE)).unwrap(), card);
+        assert_eq!(card.sha256, sha256_hex(b"network"));
+        assert_eq!(fs::read(path.join(MODEL_FILE)).unwrap(), b"network");
+        let refused = save_model(&path, &mut card, b"other").unwrap_err().to_string();
+        assert!(refused.ends_with("site: it is there already; choose another"), "{refused}");
+        assert_eq!(fs::read_dir(folder.path().join("models")).unwrap().count(), 1);
+    }
+}
