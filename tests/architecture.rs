@@ -61,7 +61,7 @@ const HOMES: [(&str, &[&str]); 31] = [
     ("plotters", &["evaluation"]),
     ("heapless", &["recognition", "retrieval", "verification"]),
     ("rayon", &["vocabulary", "cli"]),
-    ("rand_pcg", &["vocabulary", "source", "evaluation"]),
+    ("rand_pcg", &["vocabulary", "source", "evaluation", "training"]),
 ];
 
 /// Modules of neighbours on the ground floor that may be used by the others there: a frame has pixels.

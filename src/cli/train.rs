@@ -123,7 +123,7 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let is_accepted = model.is_accepted() || arguments.accept;
     let out = if is_accepted { &arguments.out } else { &aside };
     save_model(out, &mut model.card, &model.network.to_bytes())?;
-    let report = report(&clusters, &gathered, &head, &model, out, is_accepted);
+    let report = report(&clusters, &gathered, (&head, &model), (out, is_accepted));
     say(&if arguments.json { serde_json::to_string(&report)? } else { concluded(&report) })?;
     if !model.is_accepted() {
         let advice = if arguments.accept { "taken all the same" } else { "kept aside; --accept takes it" };
@@ -206,10 +206,8 @@ fn described(clusters: &Clusters) -> String {
 fn report(
     clusters: &Clusters,
     gathered: &Gathered,
-    head: &Head,
-    model: &TrainedModel,
-    out: &Path,
-    accepted: bool,
+    (head, model): (&Head, &TrainedModel),
+    (out, accepted): (&Path, bool),
 ) -> Report {
     Report {
         classes: clusters.classes.len(),
@@ -229,9 +227,10 @@ fn report(
 
 fn concluded(report: &Report) -> String {
     let Report { epoch, held_out, recall, untrained_recall, model, .. } = report;
+    let held_out = counted(*held_out as u64, "image");
     format!(
-        "held out  {}: recall@1 {recall:.3}, by the backbone alone {untrained_recall:.3} (epoch {epoch})\nmodel     {model}",
-        counted(*held_out as u64, "image")
+        "held out  {held_out}: recall@1 {recall:.3}, by the backbone alone {untrained_recall:.3} (epoch {epoch})\n\
+         model     {model}"
     )
 }
 

@@ -82,12 +82,13 @@ impl Contents {
         let (id, learnt_as) = (experience.id, experience.learnt_as);
         self.next_experience = self.next_experience.max(id.0.saturating_add(1));
         self.live_bytes += u64::from(experience.record_bytes);
-        if let Some(before) = self.experiences.insert(id, experience) {
-            self.live_bytes -= u64::from(before.record_bytes);
+        let before = self.experiences.insert(id, experience);
+        self.live_bytes -= before.map_or(0, |before| u64::from(before.record_bytes));
+        if !self.is_settled || before.is_some_and(|before| before.learnt_as == learnt_as) {
             return;
         }
-        if !self.is_settled {
-            return;
+        if let Some(before) = before {
+            self.leave(before.learnt_as, id);
         }
         let place = self.resolve(learnt_as);
         if let Some(Place { experiences, .. }) = self.places.get_mut(&place) {
@@ -100,10 +101,14 @@ impl Contents {
     pub(super) fn remove_experience(&mut self, id: ExperienceId) {
         let Some(experience) = self.experiences.remove(&id) else { return };
         self.live_bytes -= u64::from(experience.record_bytes);
-        if !self.is_settled {
-            return;
+        if self.is_settled {
+            self.leave(experience.learnt_as, id);
         }
-        let place = self.resolve(experience.learnt_as);
+    }
+
+    /// Takes an experience that was learnt as `learnt_as` from the place that this is by now.
+    fn leave(&mut self, learnt_as: PlaceId, id: ExperienceId) {
+        let place = self.resolve(learnt_as);
         if let Some(place) = self.places.get_mut(&place) {
             place.experiences.retain(|&other| other != id);
         }
@@ -339,7 +344,7 @@ mod tests {
     proptest! {
         #[test]
         fn merges_and_splits_leave_every_experience_where_grouping_all_anew_would_put_it(
-            changes in proptest::collection::vec((0..4_u8, 0..PLACES, 0..PLACES), 1..60),
+            changes in proptest::collection::vec((0..5_u8, 0..PLACES, 0..PLACES), 1..60),
         ) {
             let mut contents = Contents::default();
             (0..PLACES).for_each(|id| contents.put_place(place(id, None), Location::new(1, 0), 1));
@@ -350,6 +355,7 @@ mod tests {
                     0 if root != into => contents.put_place(place(root.0, Some(into)), Location::new(1, 0), 1),
                     1 => contents.put_place(place(one, None), Location::new(1, 0), 1),
                     2 => contents.remove_experience(ExperienceId(next / 2)),
+                    3 if next % 2 == 0 => contents.put_experience(experience(next / 2, one)),
                     _ => contents.put_experience(experience(next, one)),
                 }
                 prop_assert_eq!(&contents, &grouped_anew(&contents));

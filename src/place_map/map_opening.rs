@@ -14,6 +14,9 @@ use crate::storage::{
     BESIDE_SUFFIX, DiskFolder, Folder, MemoryFolder, StorageError, WriterLock, create_folders, log_kind,
 };
 
+/// A way to open a journal: its folder, whether to write it, and its snapshot.
+type OpenJournal = fn(&Arc<dyn Folder>, bool, Option<Snapshot>) -> Result<Opened, StorageError>;
+
 /// Times that a reader begins anew because a segment was deleted while it opened the map.
 pub(super) const READER_ATTEMPTS: u32 = 5;
 
@@ -109,7 +112,7 @@ impl PlaceMap {
     }
 
     fn open_by(
-        open: fn(&Arc<dyn Folder>, bool, Option<Snapshot>) -> Result<Opened, StorageError>,
+        open: OpenJournal,
         folder: Arc<dyn Folder>,
         options: Option<MapOptions>,
         lock: Option<WriterLock>,

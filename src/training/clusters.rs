@@ -53,6 +53,8 @@ pub struct Class {
     pub place: PlaceId,
     /// Its name, if it has one.
     pub name: Option<String>,
+    /// Numbers of the places next to it along the way, which may show the same at their borders.
+    pub neighbours: Vec<PlaceId>,
     /// What is learnt, in the order of time.
     pub learnt: Vec<Sample>,
     /// What is not, later than all that is.
@@ -110,7 +112,8 @@ impl Clusters {
             let border = border(&samples, rules.held_out_share);
             let (learnt, held_out) = samples.split_at(border);
             let (learnt, held_out) = (learnt.to_vec(), held_out.to_vec());
-            Class { map: index, place: place.id, name: place.name.clone(), learnt, held_out }
+            let neighbours = place.neighbours.iter().filter_map(|&id| Some(map.place(id)?.id)).collect();
+            Class { map: index, place: place.id, name: place.name.clone(), neighbours, learnt, held_out }
         }));
         Ok(())
     }
@@ -141,6 +144,14 @@ impl Clusters {
     #[must_use]
     pub fn are_enough(&self) -> bool {
         self.classes.len() > 1
+    }
+}
+
+impl Class {
+    /// Whether `other` may show the same as this one, since they are one or next to each other.
+    pub(super) fn is_near(&self, other: &Self) -> bool {
+        let is_next = |one: &Self, other: &Self| one.neighbours.contains(&other.place);
+        self.map == other.map && (self.place == other.place || is_next(self, other) || is_next(other, self))
     }
 }
 

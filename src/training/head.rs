@@ -141,8 +141,8 @@ impl Head {
         Ok(Self { projection, classes, scale, epoch: 0, recall })
     }
 
-    /// Trains a head on `learnt`; of all epochs the one is kept after which most of `checked` are recognised. `progress`
-    /// hears of every epoch and may end the training early, with the best one so far.
+    /// Trains a head on `learnt`; of all epochs the one is kept after which most of `checked` are recognised.
+    /// `progress` hears of every epoch and may end the training early, with the best one so far.
     ///
     /// # Errors
     /// [`TrainingError::TooFewClasses`] or [`TrainingError::NotFinite`].

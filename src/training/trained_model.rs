@@ -104,7 +104,11 @@ fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
 /// The card of the backbone with the head; its metrics are those of the backbone still.
 fn described(backbone: &ModelCard, head: &Head, clusters: &Clusters, gathered: &Gathered) -> ModelCard {
     let learnt = gathered.learnt.projected(&head.projection);
-    let (same, other) = best_cosines(&gathered.checked.projected(&head.projection), &learnt);
+    let is_near = |one: usize, other: usize| match (clusters.classes.get(one), clusters.classes.get(other)) {
+        (Some(one), Some(other)) => one.is_near(other),
+        _ => false,
+    };
+    let (same, other) = best_cosines(&gathered.checked.projected(&head.projection), &learnt, is_near);
     let decision = match Calibration::fit(&same, &other) {
         Some(Calibration { slope, offset, threshold }) => DecisionCard {
             recognise_above: (threshold as f32).clamp(-1.0, 1.0),
@@ -122,8 +126,8 @@ fn described(backbone: &ModelCard, head: &Head, clusters: &Clusters, gathered: &
         decision,
         training: TrainingCard {
             data: format!(
-                "{images} images of {classes} places that BoW+HV and the CNN founded without labels; best epoch {} chosen \
-                 and calibration fitted on {} later ones. The backbone: {}",
+                "{images} images of {classes} places that BoW+HV and the CNN founded without labels; best epoch {} \
+                 chosen and calibration fitted on {} later ones. The backbone: {}",
                 head.epoch,
                 gathered.checked.len(),
                 backbone.training.data
@@ -141,16 +145,24 @@ fn class_card(class: &Class) -> ClassCard {
     ClassCard { place: class.place.0, name: class.name.clone(), views: views.collect() }
 }
 
-/// Of every vector that is asked about, the greatest cosine to one of its own class, and to one of any other.
-fn best_cosines(asked: &Labelled, known: &Labelled) -> (Vec<f32>, Vec<f32>) {
+/// Of every vector that is asked about, the greatest cosine to one of its own class, and to one of any other that is
+/// not near to it.
+fn best_cosines(
+    asked: &Labelled,
+    known: &Labelled,
+    is_near: impl Fn(usize, usize) -> bool,
+) -> (Vec<f32>, Vec<f32>) {
     let (mut same, mut other) = (Vec::new(), Vec::new());
     for (index, &class) in asked.classes().iter().enumerate() {
         let vector = asked.vector(index);
         let (mut own, mut best) = (f32::MIN, f32::MIN);
         for (number, &known_class) in known.classes().iter().enumerate() {
             let cosine: f32 = known.vector(number).iter().zip(vector).map(|(a, b)| a * b).sum();
-            let greatest = if known_class == class { &mut own } else { &mut best };
-            *greatest = greatest.max(cosine);
+            if known_class == class {
+                own = own.max(cosine);
+            } else if !is_near(class, known_class) {
+                best = best.max(cosine);
+            }
         }
         same.extend((own > f32::MIN).then_some(own));
         other.extend((best > f32::MIN).then_some(best));
@@ -186,7 +198,8 @@ mod tests {
     }
 
     fn card() -> ModelCard {
-        let card = "name = 'toy'\nversion = '1'\ndescription = ''\nlicence = 'MIT'\nsource = ''\nrecipe = ''\nsha256 = ''\n\
+        let card = "name = 'toy'\nversion = '1'\ndescription = ''\nlicence = 'MIT'\n\
+            source = ''\nrecipe = ''\nsha256 = ''\n\
             [input]\nname = 'image'\nwidth_px = 16\nheight_px = 16\nmean = 100.0\nscale = 0.01\n\
             [descriptor]\nname = 'descriptor'\ndimensions = 6\n\
             [decision]\nrecognise_above = 0.5\ncalibration_slope = 1.0\ncalibration_offset = 0.0\n\
@@ -274,7 +287,8 @@ mod tests {
     fn the_threshold_lies_above_what_other_classes_reach() {
         let (head, model, gathered) = trained();
         let learnt = gathered.learnt.projected(&head.projection);
-        let (same, other) = best_cosines(&gathered.checked.projected(&head.projection), &learnt);
+        let (same, other) =
+            best_cosines(&gathered.checked.projected(&head.projection), &learnt, |_, _| false);
         assert_eq!((same.len(), other.len()), (30, 30));
         let DecisionCard { recognise_above, calibration_slope, .. } = model.card.decision;
         assert!(other.iter().all(|&cosine| cosine <= recognise_above) && calibration_slope > 0.0);
