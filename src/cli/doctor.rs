@@ -112,7 +112,11 @@ fn model(settings: &StreamSettings, runtime: &OnnxRuntime) -> anyhow::Result<Str
 }
 
 fn map(folder: &Path) -> anyhow::Result<String> {
-    let summary = PlaceMap::open_read_only(folder)?.summary();
+    let map = PlaceMap::open_read_only(folder)?;
+    if let Some(passed_over) = map.passed_over() {
+        anyhow::bail!("{passed_over}; `loci map compact --repair` gives it up");
+    }
+    let summary = map.summary();
     Ok(format!("{} places, {} experiences in {}", summary.places, summary.experiences, folder.display()))
 }
 

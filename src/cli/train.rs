@@ -19,6 +19,7 @@ use loci::training::{
 use serde::Serialize;
 
 use super::console::{counted, progress_bar, say};
+use super::map::report_losses;
 use super::{Outcome, WrongArgument, assets, stream};
 
 /// Widest class of the histogram of cluster sizes.
@@ -27,10 +28,11 @@ const HISTOGRAM_STEP: usize = 20;
 /// Arguments of `loci train`.
 #[derive(Args)]
 #[command(after_help = "Examples:\n  loci train maps/site --out models/site\n  \
-    loci train maps/robot1 maps/robot2 --out models/both --min-samples 30 --epochs 50\n\n\
+    loci train maps/hall maps/yard --out models/site2 --min-samples 30 --epochs 50\n\n\
     The places of the maps are the classes. A projection of the backbone's features and a direction for each class are \
     trained; the model that is made has the backbone in it. The latest fifth of every place is held out: a model that \
-    recognises less of it than the backbone alone is kept aside, in OUT.rejected, and the exit code is 3.")]
+    recognises less of it than the backbone alone is kept aside, in OUT.rejected. The exit code is 3 then, and where \
+    something could not be read. Places of several maps are told apart: merge maps of one site first.")]
 pub(super) struct TrainArguments {
     /// Folders of maps
     #[arg(required = true, value_name = "MAP")]
@@ -93,8 +95,10 @@ struct Report {
 
 /// Trains a model and says how it fares.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
-    let aside = with_ending(&arguments.out, ".rejected");
-    for path in [&arguments.out, &aside] {
+    // Without a slash at its end.
+    let out: PathBuf = arguments.out.components().collect();
+    let aside = with_ending(&out, ".rejected");
+    for path in [&out, &aside] {
         if path.exists() {
             let path = path.display();
             return Err(WrongArgument(format!("{path} is there already; choose another --out")).into());
@@ -103,9 +107,11 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let stop = stream::stop_flag()?;
     let maps = arguments.maps.iter().map(|folder| PlaceMap::open_read_only(folder));
     let maps = maps.collect::<Result<Vec<_>, _>>()?;
+    let losses = maps.iter().zip(&arguments.maps).map(|(map, folder)| report_losses(map, folder));
+    let has_lost = losses.fold(false, |has_lost, outcome| has_lost | (outcome == Outcome::Lost));
     let maps: Vec<&PlaceMap> = maps.iter().collect();
     let rules = ClusterRules { min_samples: arguments.min_samples.get(), ..ClusterRules::default() };
-    let clusters = Clusters::of(&maps, &rules)?;
+    let mut clusters = Clusters::of(&maps, &rules)?;
     if !arguments.json {
         say(&described(&clusters))?;
     }
@@ -115,27 +121,30 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let folder = assets::find(arguments.model.as_deref(), assets::MODEL, "--model")?;
     let runtime = OnnxRuntime::open(arguments.onnxruntime.as_deref())?;
     let mut backbone = DescriptorModel::open(&folder, &runtime, 2)?;
-    let gathered = gathered(&maps, &clusters, &mut backbone, &stop)?;
+    let gathered = gathered(&maps, &mut clusters, &mut backbone, &stop)?;
     let head = trained(&gathered, arguments, &stop)?;
     let network = OnnxModel::read(&fs::read(folder.join(MODEL_FILE))?)?;
     let mut model = TrainedModel::new((network, backbone.card()), &head, &clusters, &gathered)?;
-    model.card.name = name_of(&arguments.out);
+    model.card.name = name_of(&out);
     let is_accepted = model.is_accepted() || arguments.accept;
-    let out = if is_accepted { &arguments.out } else { &aside };
+    let out = if is_accepted { &out } else { &aside };
     save_model(out, &mut model.card, &model.network.to_bytes())?;
     let report = report(&clusters, &gathered, (&head, &model), (out, is_accepted));
     say(&if arguments.json { serde_json::to_string(&report)? } else { concluded(&report) })?;
+    if report.skipped > 0 {
+        eprintln!("loci: skipped: {}, for they cannot be read", counted(report.skipped as u64, "image"));
+    }
     if !model.is_accepted() {
         let advice = if arguments.accept { "taken all the same" } else { "kept aside; --accept takes it" };
         eprintln!("loci: the model recognises less of what was held out than the backbone alone: {advice}");
     }
-    Ok(if is_accepted && report.skipped == 0 { Outcome::Done } else { Outcome::Lost })
+    Ok(if is_accepted && report.skipped == 0 && !has_lost { Outcome::Done } else { Outcome::Lost })
 }
 
 /// The features of all images, computed with a progress bar.
 fn gathered(
     maps: &[&PlaceMap],
-    clusters: &Clusters,
+    clusters: &mut Clusters,
     backbone: &mut DescriptorModel,
     stop: &AtomicBool,
 ) -> Result<Gathered, TrainingError> {

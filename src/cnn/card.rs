@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::error::{CnnError, one_line};
 
 /// Largest card that is read, in bytes.
-const LARGEST_CARD_BYTES: u64 = 1 << 20;
+pub(super) const LARGEST_CARD_BYTES: u64 = 1 << 20;
 const SIDE_PX: RangeInclusive<usize> = 16..=1024;
 const DIMENSIONS: RangeInclusive<usize> = 1..=8192;
 
@@ -133,7 +133,7 @@ impl ModelCard {
         1.0 / (1.0 + (-(slope * cosine + offset)).exp())
     }
 
-    fn check(&self) -> Result<(), String> {
+    pub(super) fn check(&self) -> Result<(), String> {
         let sha256_fits =
             self.sha256.len() == 64 && self.sha256.bytes().all(|digit| digit.is_ascii_hexdigit());
         let rules = [

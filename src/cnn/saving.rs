@@ -2,9 +2,9 @@
 
 use std::fs;
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::card::ModelCard;
+use super::card::{LARGEST_CARD_BYTES, ModelCard};
 use super::engine::sha256_hex;
 use super::model::{CARD_FILE, MODEL_FILE};
 use crate::storage::{BESIDE_SUFFIX, DiskFolder, Folder, StorageError, create_folders, replace};
@@ -15,6 +15,8 @@ use crate::storage::{BESIDE_SUFFIX, DiskFolder, Folder, StorageError, create_fol
 /// # Errors
 /// If there is something at `folder` already, or it cannot be written.
 pub fn save_model(folder: &Path, card: &mut ModelCard, network: &[u8]) -> Result<(), StorageError> {
+    // Without a slash at its end.
+    let folder: &Path = &folder.components().collect::<PathBuf>();
     let error = |source| StorageError::Io { action: "write", path: folder.to_owned(), source };
     if folder.exists() {
         return Err(error(io::Error::new(
@@ -24,14 +26,15 @@ pub fn save_model(folder: &Path, card: &mut ModelCard, network: &[u8]) -> Result
     }
     card.sha256 = sha256_hex(network);
     let text = toml::to_string(card).map_err(|reason| error(io::Error::other(reason)))?;
+    card.check().map_err(|reason| error(io::Error::other(reason)))?;
+    if text.len() as u64 > LARGEST_CARD_BYTES {
+        return Err(error(io::Error::other("its card has too many places to be read again")));
+    }
     let mut beside = folder.as_os_str().to_owned();
-    beside.push(BESIDE_SUFFIX);
+    beside.push(format!(".{}{BESIDE_SUFFIX}", std::process::id()));
     let beside = Path::new(&beside);
     let parent = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let write = || {
-        if beside.exists() {
-            fs::remove_dir_all(beside)?;
-        }
         create_folders(beside)?;
         let written = DiskFolder::new(beside);
         replace(&written, MODEL_FILE, &[network])?;
@@ -53,7 +56,7 @@ mod tests {
         let path = folder.path().join("models/site");
         let mut card: ModelCard = toml::from_str(CARD).unwrap();
         card.classes.push(super::super::ClassCard { place: 3, name: None, views: vec!["00ff".to_owned()] });
-        save_model(&path, &mut card, b"network").unwrap();
+        save_model(&path.join(""), &mut card, b"network").unwrap();
         assert_eq!(ModelCard::read(&path.join(CARD_FILE)).unwrap(), card);
         assert_eq!(card.sha256, sha256_hex(b"network"));
         assert_eq!(fs::read(path.join(MODEL_FILE)).unwrap(), b"network");

@@ -8,7 +8,7 @@ use super::proto::tensor_proto::DataType;
 use super::proto::{AttributeProto, GraphProto, NodeProto, TensorProto};
 
 /// Fewest values of a weight that is worth a node of its own.
-const FEWEST_VALUES: i64 = 64;
+const FEWEST_VALUES: usize = 64;
 
 impl OnnxModel {
     /// The model with its f32 weights stored as f16. A weight that f16 cannot hold, since it would overflow, stays.
@@ -22,7 +22,8 @@ impl OnnxModel {
 fn store_as_half(graph: &mut GraphProto) {
     let mut widening = Vec::new();
     for weight in &mut graph.initializer {
-        let values = f32_values(weight).filter(|_| weight.dims.iter().product::<i64>() >= FEWEST_VALUES);
+        let is_input = graph.input.iter().any(|input| input.name() == weight.name());
+        let values = f32_values(weight).filter(|values| !is_input && values.len() >= FEWEST_VALUES);
         let Some(halves) = values.and_then(|values| halves(&values)) else { continue };
         let name = weight.name().to_owned();
         let stored = format!("{name} as half");

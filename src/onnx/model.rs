@@ -118,7 +118,8 @@ fn prune(graph: &mut GraphProto) {
     for (node, kept) in graph.node.iter().zip(&mut kept).rev() {
         *kept = node.output.iter().any(|output| needed.contains(output));
         if *kept {
-            needed.extend(taken_by(node));
+            // One that was left out has no name.
+            needed.extend(taken_by(node).into_iter().filter(|name| !name.is_empty()));
         }
     }
     let mut kept = kept.into_iter();

@@ -150,12 +150,13 @@ impl Contents {
     }
 
     /// Puts a place without a name, as if its record stood at `somewhere` and took nothing, where a record is lost that
-    /// others need, and answers their numbers; unless more than `most` are lost.
+    /// others need, and answers their numbers; unless more than `most` are lost, and more than are left.
     pub(super) fn replace_lost_places(&mut self, most: usize, somewhere: Location) -> Vec<PlaceId> {
         let named = self.places.values().flat_map(|place| place.merged_into.iter().chain(&place.neighbours));
         let learnt = self.experiences.values().map(|experience| &experience.learnt_as);
         let Some(&last) = self.places.keys().chain(named).chain(learnt).max() else { return Vec::new() };
-        if last.0 as usize + 1 - self.places.len() > most {
+        let lost = u64::from(last.0) + 1 - self.places.len() as u64;
+        if lost > most.max(self.places.len()) as u64 {
             return Vec::new();
         }
         let places = (0..=last.0).map(PlaceId);
@@ -168,8 +169,9 @@ impl Contents {
         lost
     }
 
-    /// Takes back a merge of every circle, and answers of which places.
-    pub(super) fn break_circles(&mut self) -> Vec<PlaceId> {
+    /// Takes back a merge of every circle, as if the places' records stood at `somewhere` and took nothing, and answers
+    /// of which places.
+    pub(super) fn break_circles(&mut self, somewhere: Location) -> Vec<PlaceId> {
         let mut looked_at = BTreeSet::new();
         let mut closing = Vec::new();
         for &place in self.places.keys() {
@@ -184,8 +186,10 @@ impl Contents {
             }
             looked_at.extend(way);
         }
-        for place in &closing {
-            self.places.entry(*place).and_modify(|place| place.merged_into = None);
+        for id in &closing {
+            let Some(place) = self.places.get_mut(id) else { continue };
+            self.live_bytes -= u64::from(place.record_bytes);
+            (place.merged_into, place.location, place.record_bytes) = (None, somewhere, 0);
         }
         closing
     }

@@ -14,7 +14,7 @@ use super::scripted_life::Step::{
     Background, Close, Compact, Found, Learn, Merge, Name, Reopen, Split, Sync,
 };
 use super::scripted_life::{Facts, INTERVAL, Life, Step, facts, learn, live, open, options, script};
-use super::{Durability, ExperienceId, MapError, PlaceMap, snapshot};
+use super::{Durability, ExperienceId, MapError, PlaceId, PlaceMap, snapshot};
 use crate::storage::Folder;
 use crate::storage::faulty::FaultyFolder;
 
@@ -225,14 +225,23 @@ proptest! {
     }
 }
 
-/// A map of twelve places in several segments, with a record of an experience damaged in the first and in the third.
+/// A map of twelve places in several segments, with a record of an experience damaged in the first and in the third;
+/// with a snapshot also one that lost its end, and with that the names of places.
 fn damaged(has_snapshot: bool) -> FaultyFolder {
     let folder = FaultyFolder::default();
     let mut map = open(&folder, Durability::Every).unwrap();
     for place in 0..12 {
         learn(&mut map, None, place, true).unwrap();
     }
+    map.sync().unwrap();
+    let end = map.journal.end();
+    map.name_place(PlaceId(3), "hall").unwrap();
+    map.merge_places(PlaceId(5), PlaceId(4)).unwrap();
     map.close().unwrap();
+    if has_snapshot {
+        let file = folder.open(&segment_name(end.segment), true).unwrap();
+        file.truncate(end.offset).and_then(|()| file.sync()).unwrap();
+    }
     let locations = [1, 8].map(|id| map.location(ExperienceId(id)).unwrap());
     drop(map);
     for location in locations {
@@ -260,6 +269,9 @@ fn wherever_power_is_cut_in_a_repair_the_next_one_ends_it() {
         let first = whole.operations();
         let repaired = facts(&repair(&whole).unwrap());
         assert_eq!(repaired.len(), 12 + 10);
+        assert!(
+            repaired["PlaceId(3)"].contains("hall") && repaired["PlaceId(5)"].contains("Some(PlaceId(4))")
+        );
         for operation in first..whole.operations() {
             let folder = damaged(has_snapshot);
             folder.cut_power_at(operation);

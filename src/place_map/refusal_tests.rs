@@ -48,7 +48,7 @@ fn segments_that_changed_names_are_refused_by_name_whatever_the_map_is_opened_fo
     let [first, second] = [1, 2].map(|number| folder.path().join(segment_name(number)));
     fs::copy(&first, &second).unwrap();
     let expected = format!(
-        "{} is number 1 of a map journal, not 2: it was renamed or copied; give every file its own name again",
+        "{} is number 1 of a map journal, not 2: renamed, copied or damaged at its head; name every file as it was",
         second.display()
     );
     // The snapshot is behind both.

@@ -51,6 +51,8 @@ impl PassedOver {
 struct Salvaged {
     contents: Contents,
     recovery: Recovery,
+    /// Where a torn tail begins in the last segment.
+    torn_at: Option<u64>,
     passed_over: Option<PassedOver>,
 }
 
@@ -67,6 +69,10 @@ impl Journal {
     ) -> Result<Opened, StorageError> {
         let files = open_files(folder.as_ref(), is_writable)?;
         let mut journal = unread(folder, &files)?;
+        if let (true, Some(snapshot)) = (files.is_empty(), &snapshot) {
+            // Of what is not there nothing can be kept.
+            journal.disowns(snapshot)?;
+        }
         let mut snapshot_fault = None;
         let snapshot = match snapshot.map(|snapshot| (journal.disowns(&snapshot), snapshot)) {
             Some((Ok(None) | Err(StorageError::Damaged { .. } | StorageError::Ahead { .. }), snapshot)) => {
@@ -82,11 +88,14 @@ impl Journal {
         };
         let durable = snapshot.as_ref().map_or(Position::default(), |snapshot| snapshot.position);
         let mut alone = read_around(&files, Position::default(), durable, Contents::default())?;
-        leave_out_tail(&journal, alone.recovery.torn_bytes);
+        if let (Some((_, Segment::Log(log))), Some(end)) = (journal.segments.last_key_value(), alone.torn_at)
+        {
+            log.end_at(end);
+        }
         let is_behind = (journal.end().segment, journal.end().offset) < (durable.segment, durable.offset);
         let is_whole = alone.passed_over.is_none() && !is_behind;
         let is_settled = is_whole && journal.settle(&mut alone.contents).is_ok();
-        let Salvaged { contents, recovery, passed_over } = match snapshot {
+        let Salvaged { contents, recovery, passed_over, .. } = match snapshot {
             Some(snapshot) if !is_settled => {
                 let mut both = read_around(&files, snapshot.position, durable, snapshot.contents)?;
                 both.make_sense(&journal)?;
@@ -112,9 +121,10 @@ impl Salvaged {
     fn make_sense(&mut self, journal: &Journal) -> Result<(), StorageError> {
         let Self { contents, passed_over, .. } = self;
         let somewhere = Location::new(journal.oldest_number(), LOG_HEADER_BYTES);
-        let is_there = |location: Location| {
-            let segment = journal.segments.get(&location.segment());
-            segment.is_some_and(|segment| location.offset() < segment.length_bytes())
+        let is_there = |location: Location| match journal.segments.get(&location.segment()) {
+            Some(Segment::Log(log)) => log.has_record(location.offset()),
+            Some(segment) => location.offset() < segment.length_bytes(),
+            None => false,
         };
         let damaged = |reason| StorageError::Damaged { path: journal.folder.path().to_owned(), reason };
         for id in contents.lose_experiences(is_there) {
@@ -124,16 +134,10 @@ impl Salvaged {
         for id in contents.replace_lost_places(MOST_LOST_PLACES, somewhere) {
             PassedOver::note(passed_over, || damaged(format!("the record of place {} is gone", id.0)));
         }
-        for id in contents.break_circles() {
+        for id in contents.break_circles(somewhere) {
             PassedOver::note(passed_over, || damaged(format!("place {} was merged into itself", id.0)));
         }
         journal.settle(contents)
-    }
-}
-
-fn leave_out_tail(journal: &Journal, torn_bytes: u64) {
-    if let Some((_, Segment::Log(log))) = journal.segments.last_key_value() {
-        log.end_at(log.length_bytes() - torn_bytes);
     }
 }
 
@@ -161,7 +165,7 @@ fn read_around(
     durable: Position,
     contents: Contents,
 ) -> Result<Salvaged, StorageError> {
-    let mut salvaged = Salvaged { contents, recovery: Recovery::default(), passed_over: None };
+    let mut salvaged = Salvaged { contents, recovery: Recovery::default(), torn_at: None, passed_over: None };
     for file in files {
         let offset_in = |position: Position| match file.number.cmp(&position.segment) {
             Ordering::Less => u64::MAX,
@@ -191,10 +195,23 @@ impl Salvaged {
                     let location = Location::new(file.number, offset);
                     match said.apply(&mut self.contents, location, length_bytes) {
                         Ok(()) => return self.recovery.records += 1,
+                        Err(reason) if is_version_1 => {
+                            fatal = fatal.take().or(Some(reason));
+                            return;
+                        }
                         Err(reason) => format!("{}: {reason}", said.name()),
                     }
                 }
-                Err(Flaw::TornTail) => return self.recovery.torn_bytes += length_bytes,
+                // One that was there when the map went on in the next segment is no news.
+                Err(Flaw::TornTail) if file.tail == Tail::Sealed => return,
+                Err(Flaw::TornTail) => {
+                    self.torn_at = Some(offset);
+                    return self.recovery.torn_bytes += length_bytes;
+                }
+                Err(Flaw::Bad { envelope: Some(envelope), .. }) if !is_known(envelope) => {
+                    newer = newer.or(Some(envelope));
+                    return;
+                }
                 // Whoever reads the experience notices that.
                 Err(Flaw::Bad { envelope: Some(FEATURES | THUMBNAIL), .. }) => return,
                 // What stands before a record of version 1 says which experience it is.
@@ -282,7 +299,8 @@ mod tests {
     fn repaired(folder: &Path) -> (usize, PlaceMap) {
         let read = PlaceMap::open_read_only(folder).unwrap();
         let mut map = PlaceMap::open_damaged(folder, SMALL).unwrap();
-        assert_eq!(read.summary().passed_over, map.summary().passed_over);
+        // Where its snapshot knows enough it opens for reading without looking at every record.
+        assert!([0, map.summary().passed_over].contains(&read.summary().passed_over));
         let passed_over = map.summary().passed_over;
         map.compact().unwrap();
         let after = knowledge(&map);
@@ -369,6 +387,43 @@ mod tests {
     }
 
     #[test]
+    fn a_map_that_lost_a_part_of_its_last_record_keeps_what_its_snapshot_knows_of_it() {
+        let folder = map(3);
+        PlaceMap::open(folder.path(), SMALL).unwrap().compact().unwrap();
+        let name = segment_name(PlaceMap::open_read_only(folder.path()).unwrap().journal.active_number());
+        let bytes = fs::read(folder.path().join(&name)).unwrap();
+        fs::write(folder.path().join(&name), &bytes[..bytes.len() - 20]).unwrap();
+        let (passed_over, map) = repaired(folder.path());
+        // It was the record of a place, written again by compacting.
+        assert_eq!((passed_over, map.places().len(), map.experiences().count()), (0, 3, 3));
+        assert_eq!(map.place(PlaceId(0)).unwrap().name.as_deref(), Some("dock"));
+    }
+
+    #[test]
+    fn a_damaged_map_may_be_written_before_it_is_compacted() {
+        let folder = map(60);
+        flip(folder.path(), records(folder.path())[40].1 + 9);
+        fs::remove_file(folder.path().join(snapshot::NAME)).unwrap();
+        let last = PlaceMap::open_read_only(folder.path()).unwrap().journal.active_number();
+        cut(folder.path(), last, 0);
+        let mut map = PlaceMap::open_damaged(folder.path(), SMALL).unwrap();
+        let found = learn(&mut map, None, 99, true).unwrap();
+        assert!(map.features(found.experience.unwrap()).is_ok());
+        map.compact().unwrap();
+        let after = knowledge(&map);
+        drop(map);
+        assert_eq!(knowledge(&PlaceMap::open(folder.path(), SMALL).unwrap()), after);
+    }
+
+    #[test]
+    fn a_map_of_which_nothing_but_the_snapshot_is_left_says_so() {
+        let folder = map(3);
+        fs::remove_file(segment(folder.path(), 1)).unwrap();
+        let refusal = PlaceMap::open_damaged(folder.path(), SMALL).err().unwrap().to_string();
+        assert!(refusal.contains("journal-000001.loci is missing"), "{refusal}");
+    }
+
+    #[test]
     fn a_circle_of_merges_is_taken_apart() {
         let folder = tempfile::tempdir().unwrap();
         let mut map = PlaceMap::open(folder.path(), SYNCED).unwrap();
@@ -417,6 +472,26 @@ mod tests {
         let _ = fs::remove_file(folder.path().join(snapshot::NAME));
         let refusal = PlaceMap::open_damaged(folder.path(), SMALL).err().unwrap().to_string();
         assert!(refusal.contains("place 8 is missing"), "{refusal}");
+    }
+
+    #[test]
+    fn a_torn_tail_of_version_1_costs_the_segment_behind_it_nothing() {
+        let fixture =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/map/version_1").join(segment_name(1));
+        let folder = tempfile::tempdir().unwrap();
+        let torn = [fs::read(fixture).unwrap(), vec![1, 0, 0, 0, 7, 7]].concat();
+        fs::write(segment(folder.path(), 1), torn).unwrap();
+        let mut map = PlaceMap::open(folder.path(), SYNCED).unwrap();
+        let before = map.experiences().count();
+        let damaged = learn(&mut map, None, 8, true).unwrap().experience.unwrap();
+        let offset = map.location(damaged).unwrap().offset() as usize;
+        (9..12).for_each(|number| drop(learn(&mut map, None, number, true).unwrap()));
+        drop(map);
+        let mut bytes = fs::read(segment(folder.path(), 2)).unwrap();
+        bytes[offset + 30] ^= 1;
+        fs::write(segment(folder.path(), 2), bytes).unwrap();
+        let (passed_over, map) = repaired(folder.path());
+        assert_eq!((passed_over, map.experiences().count()), (1, before + 3));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use super::batch::Batch;
 use super::contents::Fact;
 use super::format::{self, FeaturesRecord, PLACE, THINNED, ThinnedRecord};
 use super::map::PlaceMap;
-use super::{ExperienceId, MapError, snapshot, thinning};
+use super::{ExperienceId, MapError, Place, snapshot, thinning};
 use crate::storage::{LOG_HEADER_BYTES, StorageError};
 
 /// Share of the budget that records may take which count.
@@ -239,6 +239,21 @@ impl PlaceMap {
         batch.add_parts(record, features.map_err(|reason| MapError::Unstorable { reason })?, thumbnail_jpeg)
     }
 
+    /// Writes the places that no record says, since those were lost, to a new segment, before a snapshot takes the
+    /// place of the one that knew them.
+    fn write_what_is_nowhere(&mut self) -> Result<(), MapError> {
+        self.journal.rotate()?;
+        let nowhere = self.contents.places.values().filter(|place| place.record_bytes == 0);
+        let records: Vec<_> = nowhere.map(Place::record).collect();
+        for record in records {
+            let mut batch = Batch::default();
+            batch.add(PLACE, format::encode(&record))?;
+            self.append(&batch)?;
+        }
+        self.journal.sync()?;
+        Ok(())
+    }
+
     /// Goes on in a new segment, and takes a snapshot of everything before it.
     pub(super) fn rotate(&mut self) -> Result<(), MapError> {
         self.journal.rotate()?;
@@ -267,6 +282,9 @@ impl PlaceMap {
     pub fn compact(&mut self) -> Result<(), MapError> {
         self.guarded(|map| {
             let last = map.journal.active_number();
+            if map.passed_over.is_some() {
+                map.write_what_is_nowhere()?;
+            }
             map.rotate()?;
             while map.journal.oldest_number() <= last {
                 map.empty_oldest(u64::MAX)?;

@@ -66,7 +66,7 @@ pub enum StorageError {
     },
     /// The file stands under the name of another one of those that it belongs to.
     #[error(
-        "{} is number {got} of a {kind}, not {expected}: it was renamed or copied; give every file its own name again",
+        "{} is number {got} of a {kind}, not {expected}: renamed, copied or damaged at its head; name every file as it was",
         path.display()
     )]
     Misplaced {
@@ -95,7 +95,7 @@ pub enum StorageError {
     },
     /// The journal may have lost what had been on the medium when its snapshot was taken.
     #[error(
-        "{} knows more than the journal beside it: {reason}; delete the snapshot to go on with what the journal has",
+        "{} knows more than the journal beside it: {reason}; `loci map compact --repair` keeps what is left of both",
         path.display()
     )]
     Ahead {

@@ -104,7 +104,7 @@ impl Clusters {
             self.sizes.push(place.experiences.len());
             found.push(Cluster { place, samples: self.samples(map, place)? });
         }
-        let is_large = |cluster: &Cluster<'_>| cluster.samples.len() >= rules.min_samples.max(2);
+        let is_large = |cluster: &Cluster<'_>| cluster.samples.len() >= rules.min_samples.max(3);
         let (mut large, small): (Vec<_>, Vec<_>) = found.into_iter().partition(is_large);
         self.small_places += small.len();
         self.joined_by_pose += join_by_pose(map, &mut large, &small, rules.pose_radius_metres)?;
@@ -139,12 +139,6 @@ impl Clusters {
         self.duplicates += all - different.len();
         Ok(different)
     }
-
-    /// Classes that can be told apart only if there are two.
-    #[must_use]
-    pub fn are_enough(&self) -> bool {
-        self.classes.len() > 1
-    }
 }
 
 impl Class {
@@ -175,6 +169,9 @@ impl Sample {
 /// visit, so that no frame is held out whose neighbour is learnt; unless that would be most of them.
 pub(super) fn border(samples: &[Sample], share: f64) -> usize {
     let count = samples.len();
+    if count < 2 {
+        return count;
+    }
     let held_out = ((count as f64 * share.clamp(0.0, 1.0)).ceil() as usize).clamp(1, count - 1);
     let wanted = count - held_out;
     let begins_visit = |&at: &usize| {
@@ -315,6 +312,17 @@ mod tests {
         assert_eq!((class.learnt.len(), class.held_out.len()), (16, 4));
         let latest_learnt = class.learnt.iter().map(|sample| sample.capture_nanos).max();
         assert!(class.held_out.iter().all(|sample| Some(sample.capture_nanos) > latest_learnt));
+    }
+
+    #[test]
+    fn two_experiences_are_too_few_to_part_them_twice() {
+        let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
+        visited(&mut map, None, 0, 2);
+        visited(&mut map, None, 100, 3);
+        let found = clusters(&[&map], 1);
+        let [class] = &found.classes[..] else { panic!("{found:?}") };
+        assert_eq!((border(&class.learnt, 0.2), class.learnt.len(), class.held_out.len()), (1, 2, 1));
+        assert_eq!((border(&class.held_out, 0.2), border(&[], 0.2)), (1, 0));
     }
 
     #[test]

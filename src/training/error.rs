@@ -16,10 +16,16 @@ pub enum TrainingError {
         classes: usize,
     },
     /// The loss is no number any more.
-    #[error("the loss of epoch {epoch} is not finite; try a smaller learning rate")]
+    #[error("the loss of epoch {epoch} is not finite; nothing was written")]
     NotFinite {
         /// The epoch, counted from 1.
         epoch: usize,
+    },
+    /// The device did not give back what it computed.
+    #[error("the device fails: {reason}")]
+    Device {
+        /// What it says.
+        reason: String,
     },
     /// Somebody wanted no more of it.
     #[error("interrupted")]

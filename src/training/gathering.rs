@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use super::clusters::{Class, Clusters, Sample, border};
+use super::clusters::{Clusters, Sample, border};
 use super::error::TrainingError;
 use super::labelled::Labelled;
 use crate::cnn::{CnnError, DescriptorModel};
@@ -25,39 +25,64 @@ pub struct Gathered {
     pub skipped: usize,
 }
 
-/// Describes every image of `clusters`, which are of `maps`, by `backbone`. `progress` hears of every image, and may
-/// end it.
+/// Describes every image of `clusters`, which are of `maps`, by `backbone`; classes without an image that can be learnt
+/// are left out of them. `progress` hears of every image, and may end it.
 ///
 /// # Errors
 /// [`TrainingError::Interrupted`], or if a map or the backbone fails.
 pub fn gather(
     maps: &[&PlaceMap],
-    clusters: &Clusters,
+    clusters: &mut Clusters,
     backbone: &mut DescriptorModel,
     progress: &mut dyn FnMut() -> ControlFlow<()>,
 ) -> Result<Gathered, TrainingError> {
     let empty = || Labelled::new(backbone.dimensions());
     let mut gathered = Gathered { learnt: empty(), checked: empty(), held_out: empty(), skipped: 0 };
-    for (number, class) in clusters.classes.iter().enumerate() {
-        let Class { map, learnt, held_out, .. } = class;
-        let (learnt, checked) = learnt.split_at(border(learnt, CHECKED_SHARE));
-        for (samples, into) in [
-            (learnt, &mut gathered.learnt),
-            (checked, &mut gathered.checked),
-            (held_out, &mut gathered.held_out),
-        ] {
-            for sample in samples {
-                match described(maps[*map], sample, backbone)? {
-                    Some(features) => into.push(&features, number),
-                    None => gathered.skipped += 1,
-                }
-                if progress().is_break() {
-                    return Err(TrainingError::Interrupted);
-                }
-            }
+    let mut eye = Eye { backbone, progress };
+    let mut described = Vec::new();
+    for class in std::mem::take(&mut clusters.classes) {
+        let (map, number, before) = (maps[class.map], described.len(), gathered.learnt.len());
+        let (learnt, checked) = class.learnt.split_at(border(&class.learnt, CHECKED_SHARE));
+        gathered.skipped += eye.describe(map, learnt, &mut gathered.learnt, number)?;
+        // Without a learnt image there is no class, whatever else there is of it.
+        if gathered.learnt.len() > before {
+            gathered.skipped += eye.describe(map, checked, &mut gathered.checked, number)?;
+            gathered.skipped += eye.describe(map, &class.held_out, &mut gathered.held_out, number)?;
+            described.push(class);
         }
     }
+    clusters.classes = described;
     Ok(gathered)
+}
+
+/// What looks at images, and who hears of each.
+struct Eye<'a> {
+    backbone: &'a mut DescriptorModel,
+    progress: &'a mut dyn FnMut() -> ControlFlow<()>,
+}
+
+impl Eye<'_> {
+    /// Adds the features of the images of `samples` to `into` as those of the class `number`; answers how many could
+    /// not be read.
+    fn describe(
+        &mut self,
+        map: &PlaceMap,
+        samples: &[Sample],
+        into: &mut Labelled,
+        number: usize,
+    ) -> Result<usize, TrainingError> {
+        let mut skipped = 0;
+        for sample in samples {
+            match described(map, sample, self.backbone)? {
+                Some(features) => into.push(&features, number),
+                None => skipped += 1,
+            }
+            if (self.progress)().is_break() {
+                return Err(TrainingError::Interrupted);
+            }
+        }
+        Ok(skipped)
+    }
 }
 
 /// The features of an experience's image; nothing if it cannot be read or has none.

@@ -177,7 +177,7 @@ impl Head {
             if !loss.is_finite() {
                 return Err(TrainingError::NotFinite { epoch: number });
             }
-            let head = Self::of(&network, number, checked, options);
+            let head = Self::of(&network, number, checked, options)?;
             let recall = head.recall;
             if recall > best.recall {
                 best = head;
@@ -189,17 +189,23 @@ impl Head {
         Ok(best)
     }
 
-    fn of(network: &Network, epoch: usize, checked: &Labelled, options: &HeadOptions) -> Self {
-        let projection = values(network.projection.val());
-        let classes = values(unit(network.classes.val()));
+    fn of(
+        network: &Network,
+        epoch: usize,
+        checked: &Labelled,
+        options: &HeadOptions,
+    ) -> Result<Self, TrainingError> {
+        let projection = values(network.projection.val())?;
+        let classes = values(unit(network.classes.val()))?;
         let recall = checked.projected(&projection).recall(&classes);
         let (scale, _) = options.loss.scale_and_margin();
-        Self { projection, classes, scale, epoch, recall }
+        Ok(Self { projection, classes, scale, epoch, recall })
     }
 }
 
-fn values(tensor: Tensor<2>) -> Vec<f32> {
-    tensor.into_data_as::<f32>().try_to_vec().unwrap_or_default()
+fn values(tensor: Tensor<2>) -> Result<Vec<f32>, TrainingError> {
+    let values = tensor.into_data_as::<f32>().try_to_vec();
+    values.map_err(|error| TrainingError::Device { reason: error.to_string() })
 }
 
 /// The vectors of an epoch: of each class as many as of the one in the middle, drawn anew where it has fewer.
@@ -326,7 +332,7 @@ mod tests {
         let wild = HeadOptions { learning_rate: f64::INFINITY, ..options() };
         let mut go_on = |_| ControlFlow::Continue(());
         let failed = Head::train(&learnt, &checked, &wild, &Device::flex(), &mut go_on).unwrap_err();
-        assert!(failed.to_string().contains("is not finite; try a smaller learning rate"), "{failed}");
+        assert!(failed.to_string().contains("is not finite; nothing was written"), "{failed}");
     }
 
     #[test]

@@ -14,7 +14,7 @@ const DESCRIPTOR: &str = "descriptor";
 /// Name of the output that holds s · cos θ to every class.
 const CLASS_SCORES: &str = "class_scores";
 /// Experiences by which a class is found in another map.
-const MOST_VIEWS: usize = 16;
+const MOST_VIEWS: usize = 8;
 
 /// A network and what is to be known of it.
 #[derive(Clone, Debug)]

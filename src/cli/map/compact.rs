@@ -52,7 +52,7 @@ pub(super) fn run(arguments: &CompactArguments) -> anyhow::Result<Outcome> {
     let before = map.summary();
     // Before anything is given up: if this is interrupted, nobody could say it afterwards.
     if let Some(passed_over) = map.passed_over() {
-        eprintln!("loci: {passed_over}; given up");
+        eprintln!("loci: {passed_over}; to be given up");
     }
     let outcome = report_cut_off(before.torn_bytes);
     let spinner = spinner("rewriting what counts");

@@ -45,7 +45,7 @@ pub(super) fn run(command: MapCommand) -> anyhow::Result<Outcome> {
 }
 
 /// Says what of `map`, which is only read, from `folder`, could not be read.
-fn report_losses(map: &PlaceMap, folder: &Path) -> Outcome {
+pub(super) fn report_losses(map: &PlaceMap, folder: &Path) -> Outcome {
     if let Some(passed_over) = map.passed_over() {
         eprintln!("loci: {passed_over}; `loci map compact --repair` gives it up");
     }

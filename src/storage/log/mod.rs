@@ -137,6 +137,12 @@ impl RecordLog {
         Self { shared: Arc::new(Shared::new(file, path, length_bytes)) }
     }
 
+    /// Whether a record begins at `offset` whose header is whole, and all of which is there.
+    #[must_use]
+    pub fn has_record(&self, offset: u64) -> bool {
+        matches!(self.read_record(offset, self.length_bytes(), None), Ok(Some(_)))
+    }
+
     /// Leaves out what stands behind byte `length_bytes` of a log in which nothing was written yet.
     pub fn end_at(&self, length_bytes: u64) {
         self.shared.end.store(length_bytes.min(self.length_bytes()), Ordering::Release);
@@ -234,6 +240,7 @@ impl RecordLog {
         if self.is_torn_at_birth(identity, length)? {
             let begun = file.truncate(0).and_then(|()| file.append(&identity.header()));
             begun.map_err(StorageError::io("create", path))?;
+            self.shared.end.store(LOG_HEADER_BYTES, Ordering::Release);
         } else if length > self.length_bytes() {
             file.truncate(self.length_bytes()).map_err(StorageError::io("repair", path))?;
         }
