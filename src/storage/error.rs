@@ -66,7 +66,8 @@ pub enum StorageError {
     },
     /// The file stands under the name of another one of those that it belongs to.
     #[error(
-        "{} is number {got} of a {kind}, not {expected}: renamed, copied or damaged at its head; name every file as it was",
+        "{} is number {got} of a {kind}, not {expected}: renamed, copied or damaged at its head; \
+         name every file as it was",
         path.display()
     )]
     Misplaced {

@@ -162,7 +162,8 @@ fn a_log_that_stands_under_the_name_of_another_one_is_refused_and_one_that_says_
         let error = reopened(bytes.clone(), tail).err().unwrap().to_string();
         assert_eq!(
             error,
-            "log is number 259 of a test log, not 258: renamed, copied or damaged at its head; name every file as it was"
+            "log is number 259 of a test log, not 258: renamed, copied or damaged at its head; \
+             name every file as it was"
         );
         bytes[12..16].copy_from_slice(&[0; 4]);
         let (_, recovery, records) = reopened(bytes.clone(), tail).unwrap();
