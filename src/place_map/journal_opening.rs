@@ -372,7 +372,7 @@ mod tests {
     /// Asserts that the map is not written since its snapshot knows more, but read without it.
     fn assert_only_read(folder: &Path, reason: &str) {
         let snapshot = folder.join(snapshot::NAME);
-        let fix = "`loci map compact --repair` keeps what is left of both";
+        let fix = "keep what is left of both by `loci map compact --repair`, or delete the snapshot";
         let said = format!("{} knows more than the journal beside it: {reason}; {fix}", snapshot.display());
         assert_eq!(refusal(folder), said);
         let read = PlaceMap::open_read_only(folder).unwrap();

@@ -96,7 +96,8 @@ pub enum StorageError {
     },
     /// The journal may have lost what had been on the medium when its snapshot was taken.
     #[error(
-        "{} knows more than the journal beside it: {reason}; `loci map compact --repair` keeps what is left of both",
+        "{} knows more than the journal beside it: {reason}; keep what is left of both by \
+         `loci map compact --repair`, or delete the snapshot",
         path.display()
     )]
     Ahead {
