@@ -29,6 +29,9 @@ mod saving;
 mod search;
 mod signature;
 
+#[cfg(all(test, feature = "train"))]
+pub(crate) use model::tests::runtime as installed_runtime;
+
 pub use card::{ClassCard, DecisionCard, DescriptorCard, InputCard, ModelCard, TrainingCard};
 pub use compact::CompactDescriptor;
 pub use descriptor::Descriptor;

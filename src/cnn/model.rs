@@ -100,7 +100,7 @@ impl DescriptorModel {
 }
 
 #[cfg(all(test, feature = "cnn"))]
-mod tests {
+pub(super) mod tests {
     use std::path::PathBuf;
 
     use tempfile::TempDir;
@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     /// This computer's runtime, which `make deps` installs; `None` where a person has said to do without.
-    fn runtime() -> Option<OnnxRuntime> {
+    pub(crate) fn runtime() -> Option<OnnxRuntime> {
         match OnnxRuntime::open(None) {
             Ok(runtime) => Some(runtime),
             Err(_) if std::env::var_os("LOCI_WITHOUT_ONNXRUNTIME").is_some_and(|value| value == "1") => None,

@@ -8,24 +8,15 @@ use prost::Message;
 use sha2::{Digest, Sha256};
 
 use super::*;
-use crate::cnn::{CARD_FILE, DescriptorModel, MODEL_FILE, OnnxRuntime};
+use crate::cnn::{CARD_FILE, DescriptorModel, MODEL_FILE, installed_runtime};
 use crate::onnx::proto::tensor_proto::DataLocation;
 use crate::raster::RgbImage;
 
 const SIDE_PX: usize = 16;
 
-/// This computer's runtime, which `make deps` installs; `None` where a person has said to do without.
-fn runtime() -> Option<OnnxRuntime> {
-    match OnnxRuntime::open(None) {
-        Ok(runtime) => Some(runtime),
-        Err(_) if std::env::var_os("LOCI_WITHOUT_ONNXRUNTIME").is_some_and(|value| value == "1") => None,
-        Err(error) => panic!("{error}; or set LOCI_WITHOUT_ONNXRUNTIME=1 to leave these tests out"),
-    }
-}
-
 /// The direction of the output `descriptor` of `model` for an image of one colour; or why it cannot be run.
 fn computed(model: &OnnxModel, dimensions: usize, colour: [u8; 3]) -> Option<Result<Vec<f32>, String>> {
-    let runtime = runtime()?;
+    let runtime = installed_runtime()?;
     let folder = tempfile::tempdir().unwrap();
     let bytes = model.to_bytes();
     let hash: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();

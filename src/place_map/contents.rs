@@ -121,9 +121,7 @@ impl Contents {
     /// If a place is missing that something speaks of, or places were merged in a circle.
     pub(super) fn settle(&mut self) -> Result<(), String> {
         let missing = (0..).map(PlaceId).zip(self.places.keys()).find(|(expected, id)| expected != *id);
-        let named = self.places.values().flat_map(|place| place.merged_into.iter().chain(&place.neighbours));
-        let learnt = self.experiences.values().map(|experience| &experience.learnt_as);
-        let unknown = named.chain(learnt).find(|&id| !self.places.contains_key(id)).copied();
+        let unknown = self.spoken_of().find(|&id| !self.places.contains_key(id)).copied();
         if let Some(place) = missing.map(|(expected, _)| expected).or(unknown) {
             return Err(format!("place {} is missing", place.0));
         }
@@ -131,6 +129,12 @@ impl Contents {
         self.group(&roots);
         self.is_settled = true;
         Ok(())
+    }
+
+    /// Places that other places or experiences name.
+    fn spoken_of(&self) -> impl Iterator<Item = &PlaceId> {
+        let named = self.places.values().flat_map(|place| place.merged_into.iter().chain(&place.neighbours));
+        named.chain(self.experiences.values().map(|experience| &experience.learnt_as))
     }
 
     /// Gives up the experiences whose records are not where they were, and answers their numbers.
@@ -152,9 +156,7 @@ impl Contents {
     /// Puts a place without a name, as if its record stood at `somewhere` and took nothing, where a record is lost that
     /// others need, and answers their numbers; unless more than `most` are lost, and more than are left.
     pub(super) fn replace_lost_places(&mut self, most: usize, somewhere: Location) -> Vec<PlaceId> {
-        let named = self.places.values().flat_map(|place| place.merged_into.iter().chain(&place.neighbours));
-        let learnt = self.experiences.values().map(|experience| &experience.learnt_as);
-        let Some(&last) = self.places.keys().chain(named).chain(learnt).max() else { return Vec::new() };
+        let Some(&last) = self.places.keys().chain(self.spoken_of()).max() else { return Vec::new() };
         let lost = u64::from(last.0) + 1 - self.places.len() as u64;
         if lost > most.max(self.places.len()) as u64 {
             return Vec::new();

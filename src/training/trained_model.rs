@@ -178,7 +178,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     use super::*;
-    use crate::cnn::{CARD_FILE, DescriptorModel, MODEL_FILE, OnnxRuntime, save_model};
+    use crate::cnn::{CARD_FILE, DescriptorModel, MODEL_FILE, installed_runtime, save_model};
     use crate::raster::RgbImage;
     use crate::training::{Device, Head, HeadOptions};
 
@@ -252,13 +252,7 @@ mod tests {
         let path = folder.path().join("site");
         save_model(&path, &mut model.card, &model.network.to_bytes()).unwrap();
         assert!(path.join(CARD_FILE).exists() && path.join(MODEL_FILE).exists());
-        let runtime = match OnnxRuntime::open(None) {
-            Ok(runtime) => runtime,
-            Err(_) if std::env::var_os("LOCI_WITHOUT_ONNXRUNTIME").is_some_and(|value| value == "1") => {
-                return;
-            }
-            Err(error) => panic!("{error}; or set LOCI_WITHOUT_ONNXRUNTIME=1 to leave these tests out"),
-        };
+        let Some(runtime) = installed_runtime() else { return };
         let mut opened = DescriptorModel::open(&path, &runtime, 1).unwrap();
         for colour in [[200, 10, 30], [101, 99, 180], [90, 170, 100]] {
             let image = RgbImage::from_pixels(4, 4, colour.repeat(16)).unwrap();

@@ -7,9 +7,11 @@
 //! log, unless a record behind it testifies that it had been on the medium: then it is damage, and never cut off in
 //! silence.
 
+mod identity;
 mod shared;
 mod survey;
 
+pub use identity::{LogIdentity, log_kind};
 pub use shared::LogSyncer;
 pub use survey::{Footing, Surveyed};
 
@@ -20,35 +22,13 @@ use std::sync::atomic::Ordering;
 
 use super::record::{Envelope, HEADER_BYTES, RecordHeader};
 use super::{AppendFile, FileKind, StorageError};
+use identity::Header;
 use shared::Shared;
 
 /// Bytes of a log before its first record.
 pub const LOG_HEADER_BYTES: u64 = 16;
-/// Where it says which log it is.
-const NUMBER_OFFSET: usize = 12;
 /// Bytes of a record before its payload.
 pub const RECORD_HEADER_BYTES: u64 = HEADER_BYTES as u64;
-
-/// Which log a file is to be.
-#[derive(Clone, Copy, Debug)]
-pub struct LogIdentity<'a> {
-    /// Its kind.
-    pub kind: &'a FileKind,
-    /// Which of several logs that belong together; 0 for one that stands alone.
-    pub number: u32,
-    /// The file, for messages.
-    pub path: &'a Path,
-}
-
-impl LogIdentity<'_> {
-    fn header(&self) -> [u8; LOG_HEADER_BYTES as usize] {
-        let mut header = [0; LOG_HEADER_BYTES as usize];
-        header[..8].copy_from_slice(&self.kind.magic);
-        header[8..NUMBER_OFFSET].copy_from_slice(&self.kind.version.to_le_bytes());
-        header[NUMBER_OFFSET..].copy_from_slice(&self.number.to_le_bytes());
-        header
-    }
-}
 
 /// What may be at the end of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -365,37 +345,6 @@ impl RecordLog {
     fn damaged(&self, offset: u64) -> StorageError {
         let reason = format!("bad record at byte {offset}");
         StorageError::Damaged { path: self.shared.path.clone(), reason }
-    }
-}
-
-/// Magic and version of a log, zeros where it is shorter.
-///
-/// # Errors
-/// If the medium fails.
-pub fn log_kind(file: &dyn AppendFile, path: &Path) -> Result<([u8; 8], u32), StorageError> {
-    let Header { magic, version, .. } = Header::read(file, path)?;
-    Ok((magic, version))
-}
-
-/// What a log says of itself, zeros where it is shorter and no number if that is not whole.
-struct Header {
-    magic: [u8; 8],
-    version: u32,
-    number: u32,
-}
-
-impl Header {
-    fn read(file: &dyn AppendFile, path: &Path) -> Result<Self, StorageError> {
-        let mut bytes = [0; LOG_HEADER_BYTES as usize];
-        let there =
-            file.length_bytes().map_err(StorageError::io("read", path))?.min(LOG_HEADER_BYTES) as usize;
-        file.read_at(0, &mut bytes[..there]).map_err(StorageError::io("read", path))?;
-        let [magic @ .., v0, v1, v2, v3, n0, n1, n2, n3] = bytes;
-        Ok(Self {
-            magic,
-            version: u32::from_le_bytes([v0, v1, v2, v3]),
-            number: if there == bytes.len() { u32::from_le_bytes([n0, n1, n2, n3]) } else { 0 },
-        })
     }
 }
 
