@@ -113,8 +113,8 @@ pub(super) struct KeyframeRecord {
     pub(super) features_back_bytes: u32,
     /// By vocabulary.
     pub(super) words: Vec<(u64, Vec<u32>)>,
-    /// Model; values in steps.
-    pub(super) appearance: Option<(String, Vec<i8>)>,
+    /// Model; values in steps, each an `i8` as a byte: bytes are read at once.
+    pub(super) appearance: Option<(String, Vec<u8>)>,
 }
 
 #[derive(Clone, Debug, Encode, Decode)]
@@ -199,7 +199,9 @@ impl KeyframeRecord {
     ) -> Self {
         let words =
             words.iter().map(|words| (words.vocabulary, words.words.iter().map(|word| word.0).collect()));
-        let appearance = appearance.map(|a| (a.model.clone(), a.descriptor.values().to_vec()));
+        let bytes =
+            |a: &Appearance| a.descriptor.values().iter().map(|value| value.cast_unsigned()).collect();
+        let appearance = appearance.map(|a| (a.model.clone(), bytes(a)));
         Self { features_back_bytes, words: words.collect(), appearance }
     }
 
@@ -211,6 +213,7 @@ impl KeyframeRecord {
         });
         let mut traits = Traits { words: words.collect(), appearance: None };
         if let Some((model, values)) = self.appearance {
+            let values = values.into_iter().map(u8::cast_signed).collect();
             let descriptor =
                 CompactDescriptor::from_values(values).ok_or("its CNN descriptor has no direction")?;
             traits.appearance = Some(Appearance { model, descriptor });

@@ -23,7 +23,7 @@ pub struct Retrieved {
 }
 
 /// Postings that wait at most, while many images are added in a row: 12 bytes each, and as many again while they are
-/// gathered.
+/// sorted.
 const MOST_PENDING: usize = if cfg!(test) { 50 } else { 1 << 19 };
 /// Share of the documents, and fewest, that may be removed before their postings are swept out.
 const SWEEP_SHARE: usize = 8;
@@ -73,8 +73,8 @@ impl InvertedIndex {
 
     /// Puts what is pending into the lists.
     fn settle(&mut self) {
-        for (word, posting) in gathered(std::mem::take(&mut self.pending)) {
-            self.postings.get_mut(word).push(posting);
+        for run in sorted(std::mem::take(&mut self.pending)).chunk_by(|one, next| one.0 == next.0) {
+            self.postings.get_mut(run[0].0).extend(run.iter().map(|&(_, posting)| posting));
         }
     }
 
@@ -172,22 +172,26 @@ fn weights(bow: &BowVector) -> impl Iterator<Item = (WordId, f32)> {
     bow.entries().iter().map(|&(word, weight)| (word, weight as f32)).filter(|&(_, weight)| weight > 0.0)
 }
 
-/// The same postings, those of nearby words together; those of one word stay in their order.
-fn gathered(pending: Vec<(WordId, Posting)>) -> Vec<(WordId, Posting)> {
-    const PARTS: usize = 256;
+/// The same postings by word; those of one word stay in their order. So each list is visited once, and the lists in the
+/// order in which they lie.
+fn sorted(mut pending: Vec<(WordId, Posting)>) -> Vec<(WordId, Posting)> {
     let most = pending.iter().map(|(word, _)| word.0).max().unwrap_or(0);
-    let shift = (u32::BITS - most.leading_zeros()).saturating_sub(PARTS.ilog2());
-    let part = |word: WordId| (word.0 >> shift) as usize;
-    let mut ends = [0; PARTS + 1];
-    pending.iter().for_each(|&(word, _)| ends[part(word) + 1] += 1);
-    (0..PARTS).for_each(|part| ends[part + 1] += ends[part]);
-    let mut gathered = pending.clone();
-    for next in pending {
-        let end = &mut ends[part(next.0)];
-        gathered[*end] = next;
-        *end += 1;
+    let digit_bits = (u32::BITS - most.leading_zeros()).div_ceil(2);
+    let mut sorted = pending.clone();
+    let mut ends = vec![0; (1 << digit_bits) + 1];
+    for shift in [0, digit_bits] {
+        let digit = |word: WordId| (word.0 >> shift) as usize & ((1 << digit_bits) - 1);
+        ends.fill(0);
+        pending.iter().for_each(|&(word, _)| ends[digit(word) + 1] += 1);
+        (1..ends.len()).for_each(|digit| ends[digit] += ends[digit - 1]);
+        for &next in &pending {
+            let end = &mut ends[digit(next.0)];
+            sorted[*end] = next;
+            *end += 1;
+        }
+        std::mem::swap(&mut pending, &mut sorted);
     }
-    gathered
+    pending
 }
 
 /// Keeps `best` sorted by falling score and drops what does not fit.
