@@ -86,19 +86,34 @@ impl Network {
         self.session.outputs().iter().map(port).collect()
     }
 
+    /// What the file's metadata say under `key`.
+    #[cfg(feature = "train")]
+    pub(super) fn described(&self, key: &str) -> Option<String> {
+        self.session.metadata().ok()?.custom(key)
+    }
+
     /// Runs the network on one tensor and copies one output.
     pub(super) fn run(
         &mut self,
         input: (&str, [usize; 4], &[f32]),
         output: &str,
     ) -> Result<Vec<f32>, String> {
+        self.run_shaped(input, output).map(|(_, values)| values)
+    }
+
+    /// Runs the network on one tensor and copies one output with its shape.
+    pub(super) fn run_shaped(
+        &mut self,
+        input: (&str, [usize; 4], &[f32]),
+        output: &str,
+    ) -> Result<(Vec<i64>, Vec<f32>), String> {
         let words = |error: ort::Error| one_line(&error.to_string());
         let (name, shape, values) = input;
         let tensor = TensorRef::from_array_view((shape, values)).map_err(words)?;
         let outputs = self.session.run(ort::inputs![name => tensor]).map_err(words)?;
         let output = outputs.get(output).ok_or_else(|| format!("no output `{output}`"))?;
-        let (_, values) = output.try_extract_tensor::<f32>().map_err(words)?;
-        Ok(values.to_vec())
+        let (shape, values) = output.try_extract_tensor::<f32>().map_err(words)?;
+        Ok((shape.to_vec(), values.to_vec()))
     }
 }
 

@@ -84,6 +84,14 @@ pub enum CnnError {
         /// What differs.
         reason: String,
     },
+    /// ONNX Runtime cannot make a network of the file, or it makes no image of an image.
+    #[error("{}: no generator of images: {reason}", path.display())]
+    UnfitGenerator {
+        /// The network's file.
+        path: PathBuf,
+        /// What differs, and what to change.
+        reason: String,
+    },
     /// The network failed on an image.
     #[error("model {model}: inference failed: {reason}")]
     Inference {

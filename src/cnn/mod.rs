@@ -20,6 +20,8 @@ mod engine;
 #[path = "engine_absent.rs"]
 mod engine;
 mod error;
+#[cfg(feature = "train")]
+mod generator;
 mod library;
 mod model;
 mod preprocess;
@@ -36,6 +38,8 @@ pub use card::{ClassCard, DecisionCard, DescriptorCard, InputCard, ModelCard, Tr
 pub use compact::CompactDescriptor;
 pub use descriptor::Descriptor;
 pub use error::CnnError;
+#[cfg(feature = "train")]
+pub use generator::{ImageGenerator, PixelRange, RANGE_KEY};
 pub use library::{LibraryFault, OLDEST_RUNTIME, RuntimeVersion};
 pub use model::{CARD_FILE, DescriptorModel, MODEL_FILE};
 pub use preprocess::Preprocessor;

@@ -17,7 +17,7 @@ pub const CARD_FILE: &str = "card.toml";
 pub const MODEL_FILE: &str = "model.onnx";
 
 /// Largest network that is read, in bytes; one for a robot has a few million.
-const LARGEST_MODEL_BYTES: u64 = 512 << 20;
+pub(super) const LARGEST_MODEL_BYTES: u64 = 512 << 20;
 /// Small networks gain nothing from more threads.
 const MOST_THREADS: usize = 2;
 

@@ -2,8 +2,10 @@
 //! labels anything.
 //!
 //! [`Clusters`] are the classes and what is known of each, parted by time into what is learnt and what is held out.
-//! A [`Head`] is trained on the [`Labelled`] features that a frozen backbone has of their images.
+//! A [`Head`] is trained on the [`Labelled`] features that a frozen backbone has of their images, and of what an
+//! [`Augmentation`] makes of these.
 
+mod augmentation;
 mod calibration;
 mod clusters;
 mod error;
@@ -13,6 +15,7 @@ mod labelled;
 mod principal;
 mod trained_model;
 
+pub use augmentation::Augmentation;
 pub use burn::tensor::Device;
 pub use calibration::Calibration;
 pub use clusters::{Class, ClusterRules, Clusters, Sample};
