@@ -103,6 +103,9 @@ fn vocabulary(settings: &StreamSettings) -> anyhow::Result<String> {
 
 /// Opens the model and asks it for a descriptor.
 fn model(settings: &StreamSettings, runtime: &OnnxRuntime) -> anyhow::Result<String> {
+    if settings.is_without_cnn() {
+        return Ok("none: BoW+HV decides alone".to_owned());
+    }
     let folder = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
     let mut model = DescriptorModel::open(&folder, runtime, 1)?;
     let grey = vec![128; 64 * 64 * 3];

@@ -38,7 +38,7 @@ pub(super) struct StreamSettings {
     /// [default: vocab/default.lvoc]
     #[arg(long, value_name = "FILE")]
     pub(super) vocab: Vec<PathBuf>,
-    /// Folder of the CNN with its card [default: models/efficientnet-lite0]
+    /// Folder of the CNN with its card, or none for BoW+HV alone [default: models/efficientnet-lite0]
     #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]
     pub(super) model: Option<PathBuf>,
     /// ONNX Runtime library [default: looked for; `loci doctor` says where]
@@ -78,6 +78,11 @@ impl StreamSettings {
         let file: Self = toml::from_str(&text)
             .map_err(|error| WrongArgument(format!("{}{}", path.display(), one_line(&error, &text))))?;
         Ok(self.or(file))
+    }
+
+    /// Whether BoW+HV is to decide alone.
+    pub(super) fn is_without_cnn(&self) -> bool {
+        self.model.as_deref() == Some(Path::new("none"))
     }
 
     fn or(self, other: Self) -> Self {

@@ -103,8 +103,12 @@ pub(super) fn recognition_options(settings: &StreamSettings) -> anyhow::Result<R
     })
 }
 
-/// The CNN of `settings` and the runtime that runs it; `None`, said loudly, where no ONNX Runtime can run it.
+/// The CNN of `settings` and the runtime that runs it; `None` where none is wanted and, said loudly, where no ONNX
+/// Runtime can run it.
 fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<(DescriptorModel, RuntimeVersion)>> {
+    if settings.is_without_cnn() {
+        return Ok(None);
+    }
     let runtime = match OnnxRuntime::open(settings.onnxruntime.as_deref()) {
         Ok(runtime) => runtime,
         Err(error @ (CnnError::NotBuilt | CnnError::RuntimeNotFound { .. })) => {

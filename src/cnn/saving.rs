@@ -9,12 +9,20 @@ use super::engine::sha256_hex;
 use super::model::{CARD_FILE, MODEL_FILE};
 use crate::storage::{BESIDE_SUFFIX, DiskFolder, Folder, StorageError, create_folders, replace};
 
-/// Makes `folder` the folder of the model of these bytes, whose hash is put into `card`. Whenever power fails, there is
-/// either no such folder or all of it.
+/// Name of the page that tells of a model's training, in its folder.
+const REPORT_FILE: &str = "report.html";
+
+/// Makes `folder` the folder of the model of these bytes, whose hash is put into `card`, with the page `report`. Whenever
+/// power fails, there is either no such folder or all of it.
 ///
 /// # Errors
 /// If there is something at `folder` already, or it cannot be written.
-pub fn save_model(folder: &Path, card: &mut ModelCard, network: &[u8]) -> Result<(), StorageError> {
+pub fn save_model(
+    folder: &Path,
+    card: &mut ModelCard,
+    network: &[u8],
+    report: &str,
+) -> Result<(), StorageError> {
     // Without a slash at its end.
     let folder: &Path = &folder.components().collect::<PathBuf>();
     let error = |source| StorageError::Io { action: "write", path: folder.to_owned(), source };
@@ -38,6 +46,7 @@ pub fn save_model(folder: &Path, card: &mut ModelCard, network: &[u8]) -> Result
         create_folders(beside)?;
         let written = DiskFolder::new(beside);
         replace(&written, MODEL_FILE, &[network])?;
+        replace(&written, REPORT_FILE, &[report.as_bytes()])?;
         replace(&written, CARD_FILE, &[text.as_bytes()])?;
         fs::rename(beside, folder)?;
         DiskFolder::new(parent).sync()
@@ -56,11 +65,11 @@ mod tests {
         let path = folder.path().join("models/site");
         let mut card: ModelCard = toml::from_str(CARD).unwrap();
         card.classes.push(super::super::ClassCard { place: 3, name: None, views: vec!["00ff".to_owned()] });
-        save_model(&path.join(""), &mut card, b"network").unwrap();
+        save_model(&path.join(""), &mut card, b"network", "").unwrap();
         assert_eq!(ModelCard::read(&path.join(CARD_FILE)).unwrap(), card);
         assert_eq!(card.sha256, sha256_hex(b"network"));
         assert_eq!(fs::read(path.join(MODEL_FILE)).unwrap(), b"network");
-        let refused = save_model(&path, &mut card, b"other").unwrap_err().to_string();
+        let refused = save_model(&path, &mut card, b"other", "").unwrap_err().to_string();
         assert!(refused.ends_with("site: it is there already; choose another"), "{refused}");
         assert_eq!(fs::read_dir(folder.path().join("models")).unwrap().count(), 1);
     }

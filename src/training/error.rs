@@ -16,7 +16,7 @@ pub enum TrainingError {
         classes: usize,
     },
     /// The loss is no number any more.
-    #[error("the loss of epoch {epoch} is not finite; nothing was written")]
+    #[error("the loss of epoch {epoch} is not finite; what the epochs before came to is kept")]
     NotFinite {
         /// The epoch, counted from 1.
         epoch: usize,
@@ -27,6 +27,9 @@ pub enum TrainingError {
         /// What it says.
         reason: String,
     },
+    /// An image was there when the training began, and is not any more.
+    #[error("an image of the map cannot be read any more; begin the training again")]
+    ImageGone,
     /// Somebody wanted no more of it.
     #[error("interrupted")]
     Interrupted,

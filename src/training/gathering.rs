@@ -1,103 +1,106 @@
-//! The features that a backbone has of the images of classes, computed once.
+//! What a model says of the images of classes, computed once.
 
 use std::ops::ControlFlow;
 
-use super::clusters::{Clusters, Sample, border};
+use rand_pcg::Pcg64;
+
 use super::error::TrainingError;
 use super::labelled::Labelled;
+use super::pictures::{Picture, Pictures};
+use super::variation::Variation;
 use crate::cnn::{CnnError, DescriptorModel};
-use crate::place_map::{MapError, PlaceMap};
-use crate::source;
+use crate::raster::RgbImage;
 
-/// Share of what is learnt that training only looks at, to choose the best epoch: the latest of each class.
-const CHECKED_SHARE: f64 = 0.2;
-
-/// Features of all classes.
+/// Vectors of all classes: features of a backbone, or descriptors of a trained model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gathered {
-    /// What is learnt.
+    /// Of what is learnt.
     pub learnt: Labelled,
-    /// What training looks at to choose the best epoch, and what the calibration is fitted on.
+    /// Of what training looks at to choose the best epoch, and what the calibration is fitted on.
     pub checked: Labelled,
-    /// What nobody sees until the end.
+    /// Of what nobody sees until the end.
     pub held_out: Labelled,
-    /// Images that could not be read or described.
-    pub skipped: usize,
 }
 
-/// Describes every image of `clusters`, which are of `maps`, by `backbone`; classes without an image that can be learnt
-/// are left out of them. `progress` hears of every image, and may end it.
-///
-/// # Errors
-/// [`TrainingError::Interrupted`], or if a map or the backbone fails.
-pub fn gather(
-    maps: &[&PlaceMap],
-    clusters: &mut Clusters,
-    backbone: &mut DescriptorModel,
-    progress: &mut dyn FnMut() -> ControlFlow<()>,
-) -> Result<Gathered, TrainingError> {
-    let empty = || Labelled::new(backbone.dimensions());
-    let mut gathered = Gathered { learnt: empty(), checked: empty(), held_out: empty(), skipped: 0 };
-    let mut eye = Eye { backbone, progress };
-    let mut described = Vec::new();
-    for class in std::mem::take(&mut clusters.classes) {
-        let (map, number, before) = (maps[class.map], described.len(), gathered.learnt.len());
-        let (learnt, checked) = class.learnt.split_at(border(&class.learnt, CHECKED_SHARE));
-        gathered.skipped += eye.describe(map, learnt, &mut gathered.learnt, number)?;
-        // Without a learnt image there is no class, whatever else there is of it.
-        if gathered.learnt.len() > before {
-            gathered.skipped += eye.describe(map, checked, &mut gathered.checked, number)?;
-            gathered.skipped += eye.describe(map, &class.held_out, &mut gathered.held_out, number)?;
-            described.push(class);
+impl Gathered {
+    /// What `describe` says of all images of `pictures`. `progress` hears of every image, and may end it.
+    ///
+    /// # Errors
+    /// [`TrainingError::Interrupted`], what `describe` answers, or if the medium fails.
+    pub fn of(
+        pictures: &Pictures<'_>,
+        width: usize,
+        describe: &mut Describe<'_>,
+        progress: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<Self, TrainingError> {
+        let mut of = |part: &[Picture]| {
+            let mut labelled = Labelled::new(width);
+            for &picture in part {
+                if let Some(image) = pictures.image(picture)?
+                    && let Some(vector) = describe(&image)?
+                {
+                    labelled.push(&vector, picture.class);
+                }
+                if progress().is_break() {
+                    return Err(TrainingError::Interrupted);
+                }
+            }
+            Ok(labelled)
+        };
+        Ok(Self {
+            learnt: of(&pictures.learnt)?,
+            checked: of(&pictures.checked)?,
+            held_out: of(&pictures.held_out)?,
+        })
+    }
+
+    /// All vectors times `matrix`, `[width, columns]`.
+    #[must_use]
+    pub fn projected(&self, matrix: &[f32]) -> Self {
+        Self {
+            learnt: self.learnt.projected(matrix),
+            checked: self.checked.projected(matrix),
+            held_out: self.held_out.projected(matrix),
         }
     }
-    clusters.classes = described;
-    Ok(gathered)
 }
 
-/// What looks at images, and who hears of each.
-struct Eye<'a> {
-    backbone: &'a mut DescriptorModel,
-    progress: &'a mut dyn FnMut() -> ControlFlow<()>,
-}
-
-impl Eye<'_> {
-    /// Adds the features of the images of `samples` to `into` as those of the class `number`; answers how many could
-    /// not be read.
-    fn describe(
-        &mut self,
-        map: &PlaceMap,
-        samples: &[Sample],
-        into: &mut Labelled,
-        number: usize,
-    ) -> Result<usize, TrainingError> {
-        let mut skipped = 0;
-        for sample in samples {
-            match described(map, sample, self.backbone)? {
-                Some(features) => into.push(&features, number),
-                None => skipped += 1,
+/// What `describe` says of `copies` of every one of `part` of `pictures`, each varied in its own way, settled by `seed`. `progress` hears of every one, and may end it.
+///
+/// # Errors
+/// [`TrainingError::Interrupted`], what `describe` answers, or if the medium fails.
+pub fn varied(
+    (pictures, part): (&Pictures<'_>, &[Picture]),
+    width: usize,
+    (variation, copies, seed): (&Variation, usize, u64),
+    describe: &mut Describe<'_>,
+    progress: &mut dyn FnMut() -> ControlFlow<()>,
+) -> Result<Labelled, TrainingError> {
+    let mut labelled = Labelled::new(width);
+    for (number, &picture) in part.iter().enumerate() {
+        let Some(image) = pictures.image(picture)? else { continue };
+        let mut random = Pcg64::new(u128::from(seed), number as u128);
+        for _ in 0..copies {
+            if let Some(vector) = describe(&variation.vary(&image, &mut random)?)? {
+                labelled.push(&vector, picture.class);
             }
-            if (self.progress)().is_break() {
+            if progress().is_break() {
                 return Err(TrainingError::Interrupted);
             }
         }
-        Ok(skipped)
     }
+    Ok(labelled)
 }
 
-/// The features of an experience's image; nothing if it cannot be read or has none.
-fn described(
-    map: &PlaceMap,
-    sample: &Sample,
-    backbone: &mut DescriptorModel,
-) -> Result<Option<Vec<f32>>, TrainingError> {
-    let jpeg = match map.thumbnail_jpeg(sample.experience) {
-        Ok(jpeg) => jpeg,
-        Err(MapError::Storage(error)) if error.is_damage() => return Ok(None),
-        Err(error) => return Err(error.into()),
-    };
-    let Ok(image) = source::decode(&jpeg, "thumbnail") else { return Ok(None) };
-    match backbone.describe(&image) {
+/// What is said of an image; nothing if it has no direction.
+pub type Describe<'a> = dyn FnMut(&RgbImage) -> Result<Option<Vec<f32>>, TrainingError> + 'a;
+
+/// What `model` says of an image.
+///
+/// # Errors
+/// [`TrainingError::Cnn`].
+pub fn described(model: &mut DescriptorModel, image: &RgbImage) -> Result<Option<Vec<f32>>, TrainingError> {
+    match model.describe(image) {
         Ok(descriptor) => Ok(Some(descriptor.as_slice().to_vec())),
         Err(CnnError::Degenerate { .. }) => Ok(None),
         Err(error) => Err(error.into()),

@@ -59,6 +59,14 @@ fn without_onnx_runtime_bow_and_hough_voting_go_on_alone_and_say_so() {
 }
 
 #[test]
+fn where_no_cnn_is_wanted_bow_and_hough_voting_decide_alone_without_a_word() {
+    let run = loci(&["run", "synthetic:corridor?laps=1&frames=10&seed=22", "--json", "--model", "none"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    assert!(!run.stderr.contains("NO CNN"), "{}", run.stderr);
+    assert!(run.records().iter().all(|record| record["cnn"] == "unavailable"));
+}
+
+#[test]
 fn the_same_stream_gives_the_same_decisions() {
     let run = || {
         let mut records = loci(&["run", "synthetic:street?laps=1&frames=20&seed=3", "--json"]).records();

@@ -183,7 +183,7 @@ fn unless_stopped<T>(stop: &AtomicBool, result: Result<T, MapError>) -> anyhow::
 /// descriptors.
 fn recognisers(arguments: &MergeArguments, settings: &StreamSettings) -> anyhow::Result<[Recogniser; 2]> {
     let vocabularies = Arc::new(VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?);
-    let card = card(settings.model.as_deref())?;
+    let card = if settings.is_without_cnn() { None } else { card(settings.model.as_deref())? };
     let options =
         RecognitionOptions { read_only: true, memory_bytes: usize::MAX, ..RecognitionOptions::default() };
     let over = |folder: &Path| -> anyhow::Result<Recogniser> {

@@ -18,7 +18,8 @@ pub(super) struct Night {
     pub(super) ambient: f32,
     /// Colour of the light from everywhere.
     pub(super) ambient_colour: Light,
-    /// Light of the sky against what the day made of it, times as much as that of the scene.
+    /// What is left of the sky's light, as a share of what is left of a scene that only the light from everywhere
+    /// reaches.
     pub(super) sky: f32,
     /// How many lamps there are.
     pub(super) lamps: usize,

@@ -1,0 +1,246 @@
+//! `loci train`: a better CNN from the clusters that a robot made by itself.
+
+mod arguments;
+mod progress;
+mod report;
+
+use std::cell::RefCell;
+use std::ffi::OsString;
+use std::fmt::Debug;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::{fs, io};
+
+use loci::cnn::{DescriptorModel, ImageGenerator, MODEL_FILE, OnnxRuntime, save_model};
+use loci::onnx::OnnxModel;
+use loci::place_map::PlaceMap;
+use loci::raster::RgbImage;
+use loci::training::{
+    Augmentation, Checkpoint, ClusterRules, Clusters, Device, Epoch, Gathered, Head, Labelled, PaperCnn,
+    Picture, Pictures, TrainedModel, TrainingError, TrainingReport, Variation, described, varied,
+};
+
+use self::arguments::Architecture;
+pub(super) use self::arguments::TrainArguments;
+use self::progress::Progress;
+use super::console::{counted, say};
+use super::map::report_losses;
+use super::{Outcome, WrongArgument, assets, stream};
+
+/// Trains a model and says how it fares.
+pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
+    // Without a slash at its end.
+    let out: PathBuf = arguments.out.components().collect();
+    let aside = with_ending(&out, ".rejected");
+    for path in [&out, &aside] {
+        if path.exists() {
+            let path = path.display();
+            return Err(WrongArgument(format!("{path} is there already; choose another --out")).into());
+        }
+    }
+    let stop = stream::stop_flag()?;
+    let maps = arguments.maps.iter().map(|folder| PlaceMap::open_read_only(folder));
+    let maps = maps.collect::<Result<Vec<_>, _>>()?;
+    let losses = maps.iter().zip(&arguments.maps).map(|(map, folder)| report_losses(map, folder));
+    let has_lost = losses.fold(false, |has_lost, outcome| has_lost | (outcome == Outcome::Lost));
+    let maps: Vec<&PlaceMap> = maps.iter().collect();
+    let rules = ClusterRules { min_samples: arguments.min_samples.get(), ..ClusterRules::default() };
+    let mut clusters = Clusters::of(&maps, &rules)?;
+    if !arguments.json {
+        say(&report::described(&clusters))?;
+    }
+    if clusters.classes.len() < 2 {
+        return Err(TrainingError::TooFewClasses { classes: clusters.classes.len() }.into());
+    }
+    let trainer = Trainer::new(arguments, &out, &stop)?;
+    let images = clusters.classes.iter().map(|class| class.learnt.len() + class.held_out.len()).sum();
+    let pictures =
+        trainer.progress.images(images, "images", |show| Pictures::of(&maps, &mut clusters, show))?;
+    let (mut model, epochs) = trainer.train(&pictures, &clusters)?;
+    model.card.name = name_of(&out);
+    let is_accepted = model.is_accepted() || arguments.accept;
+    let folder = if is_accepted { &out } else { &aside };
+    let page = TrainingReport { clusters: &clusters, pictures: &pictures, epochs: &epochs, model: &model };
+    let page = page.html();
+    save_model(folder, &mut model.card, &model.network.to_bytes(), &page)?;
+    trainer.forget_checkpoint()?;
+    let report = report::Report::new((&clusters, &pictures), (&model, &epochs), (folder, is_accepted));
+    say(&if arguments.json { serde_json::to_string(&report)? } else { report.text() })?;
+    let skipped = pictures.skipped + clusters.unreadable;
+    if skipped > 0 {
+        eprintln!("loci: skipped: {}, for they cannot be read", counted(skipped as u64, "image"));
+    }
+    if !model.is_accepted() {
+        let advice = if arguments.accept { "taken all the same" } else { "kept aside; --accept takes it" };
+        eprintln!("loci: the model recognises less of what was held out than the one before: {advice}");
+    }
+    Ok(if is_accepted && skipped == 0 && !has_lost { Outcome::Done } else { Outcome::Lost })
+}
+
+/// What trains.
+struct Trainer<'a> {
+    arguments: &'a TrainArguments,
+    /// Folder of the CNN that the trunk is.
+    backbone: PathBuf,
+    /// Folder of the CNN that the new one is to take the place of.
+    model: PathBuf,
+    runtime: OnnxRuntime,
+    variation: Variation,
+    progress: Progress<'a>,
+    checkpoint_path: PathBuf,
+}
+
+impl<'a> Trainer<'a> {
+    fn new(arguments: &'a TrainArguments, out: &Path, stop: &'a AtomicBool) -> anyhow::Result<Self> {
+        let runtime = OnnxRuntime::open(arguments.onnxruntime.as_deref())?;
+        let generator = match &arguments.augment_model {
+            Some(_) if arguments.augment == 0 => {
+                return Err(WrongArgument("--augment-model makes nothing of --augment 0".to_owned()).into());
+            }
+            Some(path) => Some(RefCell::new(ImageGenerator::open(path, &runtime, 2)?)),
+            None => None,
+        };
+        let augmentation = (arguments.augment > 0).then(Augmentation::default);
+        Ok(Self {
+            arguments,
+            backbone: assets::find(arguments.backbone.as_deref(), assets::MODEL, "--backbone")?,
+            model: assets::find(arguments.model.as_deref(), assets::MODEL, "--model")?,
+            runtime,
+            variation: Variation { augmentation, generator },
+            progress: Progress::new(stop),
+            checkpoint_path: with_ending(out, ".checkpoint"),
+        })
+    }
+
+    fn open(&self, folder: &Path) -> anyhow::Result<DescriptorModel> {
+        Ok(DescriptorModel::open(folder, &self.runtime, 2)?)
+    }
+
+    /// Trains a model; answers it and how every epoch went.
+    fn train(
+        &self,
+        pictures: &Pictures<'_>,
+        clusters: &Clusters,
+    ) -> anyhow::Result<(TrainedModel, Vec<Epoch>)> {
+        let current = self.gathered(pictures, &mut self.open(&self.model)?)?;
+        match self.arguments.architecture {
+            Architecture::Trunk => self.train_trunk(pictures, clusters, &current),
+            Architecture::Paper => self.train_paper(pictures, clusters, &current),
+        }
+    }
+
+    fn train_trunk(
+        &self,
+        pictures: &Pictures<'_>,
+        clusters: &Clusters,
+        current: &Gathered,
+    ) -> anyhow::Result<(TrainedModel, Vec<Epoch>)> {
+        let mut backbone = self.open(&self.backbone)?;
+        let is_current = fs::canonicalize(&self.backbone)? == fs::canonicalize(&self.model)?;
+        let features = if is_current { current.clone() } else { self.gathered(pictures, &mut backbone)? };
+        // Other draws for what is only looked at.
+        let seed = self.arguments.seed;
+        let learnt = self.varied((pictures, &pictures.learnt), &mut backbone, seed)?;
+        let checked = self.varied((pictures, &pictures.checked), &mut backbone, !seed)?;
+        let vectors = (&features.learnt.and(&learnt), &features.checked.and(&checked));
+        let options = self.arguments.fit_options();
+        let checkpoint = self.checkpoint(&(&options, backbone.card()), pictures)?;
+        let head = self.progress.epochs(options.epochs, &checkpoint, |show| {
+            let dimensions = self.arguments.dimensions();
+            Head::train(vectors, dimensions, &options, (&Device::flex(), Some(&checkpoint)), show)
+        })?;
+        let network = OnnxModel::read(&fs::read(self.backbone.join(MODEL_FILE))?)?;
+        let (network, card) = head.grafted((network, backbone.card()))?;
+        let descriptors = features.projected(&head.projection);
+        let model = TrainedModel::new(network, card, clusters, (&descriptors, current));
+        Ok((model, head.epochs))
+    }
+
+    fn train_paper(
+        &self,
+        pictures: &Pictures<'_>,
+        clusters: &Clusters,
+        current: &Gathered,
+    ) -> anyhow::Result<(TrainedModel, Vec<Epoch>)> {
+        let options = self.arguments.paper_options();
+        let checkpoint = self.checkpoint(&options, pictures)?;
+        let classes = clusters.classes.len();
+        let cnn = self.progress.epochs(options.fit.epochs, &checkpoint, |show| {
+            let pictures = (pictures, &self.variation);
+            PaperCnn::train(pictures, classes, &options, (&Device::flex(), Some(&checkpoint)), show)
+        })?;
+        let mut describe = |image: &RgbImage| cnn.describe(image).map(Some);
+        let descriptors = self.progress.images(pictures.len(), "images", |show| {
+            Gathered::of(pictures, options.dimensions, &mut describe, show)
+        })?;
+        let (network, card) = cnn.to_onnx()?;
+        Ok((TrainedModel::new(network, card, clusters, (&descriptors, current)), cnn.head.epochs))
+    }
+
+    /// What `model` says of all images.
+    fn gathered(&self, pictures: &Pictures<'_>, model: &mut DescriptorModel) -> anyhow::Result<Gathered> {
+        let dimensions = model.dimensions();
+        let mut describe = |image: &RgbImage| described(model, image);
+        let gathered = self.progress.images(pictures.len(), "images", |show| {
+            Gathered::of(pictures, dimensions, &mut describe, show)
+        })?;
+        Ok(gathered)
+    }
+
+    /// What `model` says of varied copies of `part` of `pictures`.
+    fn varied(
+        &self,
+        (pictures, part): (&Pictures<'_>, &[Picture]),
+        model: &mut DescriptorModel,
+        seed: u64,
+    ) -> anyhow::Result<Labelled> {
+        let (dimensions, copies) = (model.dimensions(), self.arguments.augment);
+        let mut describe = |image: &RgbImage| described(model, image);
+        let how = (&self.variation, copies, seed);
+        let labelled = self.progress.images(copies * part.len(), "copies", |show| {
+            varied((pictures, part), dimensions, how, &mut describe, show)
+        })?;
+        Ok(labelled)
+    }
+
+    /// Where this training keeps what it has come to; one of another training, `how` or on what, is not gone on with.
+    fn checkpoint(&self, how: &dyn Debug, pictures: &Pictures<'_>) -> anyhow::Result<Checkpoint> {
+        let TrainArguments { architecture, augment, augment_model, .. } = self.arguments;
+        let arguments = (architecture, self.arguments.dimensions(), augment, augment_model);
+        let what = format!("{arguments:?} {how:?} {:?} {:?}", pictures.learnt, pictures.checked);
+        let checkpoint = Checkpoint::new(&self.checkpoint_path, &what);
+        match checkpoint.epochs() {
+            0 if self.checkpoint_path.exists() => {
+                let path = self.checkpoint_path.display();
+                eprintln!("loci: {path} is of another training, or damaged; this one begins anew");
+            }
+            0 => {}
+            epochs => {
+                let (epochs, path) = (counted(epochs as u64, "epoch"), self.checkpoint_path.display());
+                eprintln!("loci: going on after {epochs}, from {path}");
+            }
+        }
+        Ok(checkpoint)
+    }
+
+    /// The training is done.
+    fn forget_checkpoint(&self) -> anyhow::Result<()> {
+        match fs::remove_file(&self.checkpoint_path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                anyhow::bail!("cannot remove {}: {error}", self.checkpoint_path.display())
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The folder's name, by which the model is called.
+fn name_of(folder: &Path) -> String {
+    folder.file_name().map_or_else(|| "trained".to_owned(), |name| name.to_string_lossy().into_owned())
+}
+
+fn with_ending(path: &Path, ending: &str) -> PathBuf {
+    let mut path: OsString = path.as_os_str().to_owned();
+    path.push(ending);
+    path.into()
+}

@@ -1,0 +1,112 @@
+//! What is said of a training, to people and to programs.
+
+use std::path::Path;
+
+use loci::training::{Clusters, Epoch, Pictures, Standing, TrainedModel};
+use serde::Serialize;
+
+use super::super::console::counted;
+
+/// Widest class of the histogram of cluster sizes.
+const HISTOGRAM_STEP: usize = 20;
+
+/// What came of a training.
+#[derive(Serialize)]
+pub(super) struct Report {
+    classes: usize,
+    /// Learnt or looked at.
+    images: usize,
+    small_places: usize,
+    duplicates: usize,
+    joined_by_pose: usize,
+    skipped: usize,
+    epochs: usize,
+    held_out: StandingReport,
+    held_out_before: StandingReport,
+    accepted: bool,
+    model: String,
+}
+
+/// How a model stands on what was held out.
+#[derive(Serialize)]
+struct StandingReport {
+    images: usize,
+    recall: f64,
+    /// 95 %, by Wilson's score.
+    recall_interval: [f64; 2],
+    precision: f64,
+    recall_at_one: f64,
+}
+
+impl From<&Standing> for StandingReport {
+    fn from(standing: &Standing) -> Self {
+        Self {
+            images: standing.asked,
+            recall: standing.recall(),
+            recall_interval: standing.recall_interval().into(),
+            precision: standing.precision(),
+            recall_at_one: standing.recall_at_one(),
+        }
+    }
+}
+
+impl StandingReport {
+    fn text(&self) -> String {
+        let Self { recall, recall_interval: [low, high], precision, recall_at_one, .. } = self;
+        format!(
+            "recall {recall:.3} ({low:.3} to {high:.3}) at precision {precision:.3}; R@1 {recall_at_one:.3}"
+        )
+    }
+}
+
+impl Report {
+    pub(super) fn new(
+        (clusters, pictures): (&Clusters, &Pictures<'_>),
+        (model, epochs): (&TrainedModel, &[Epoch]),
+        (folder, accepted): (&Path, bool),
+    ) -> Self {
+        Self {
+            classes: clusters.classes.len(),
+            images: pictures.learnt.len() + pictures.checked.len(),
+            small_places: clusters.small_places,
+            duplicates: clusters.duplicates,
+            joined_by_pose: clusters.joined_by_pose,
+            skipped: pictures.skipped + clusters.unreadable,
+            epochs: epochs.len(),
+            held_out: (&model.standing).into(),
+            held_out_before: (&model.current).into(),
+            accepted,
+            model: folder.display().to_string(),
+        }
+    }
+
+    pub(super) fn text(&self) -> String {
+        format!(
+            "held out  {}: {}\nbefore    {}\nmodel     {} (report.html says more)",
+            counted(self.held_out.images as u64, "image"),
+            self.held_out.text(),
+            self.held_out_before.text(),
+            self.model
+        )
+    }
+}
+
+/// Classes, what was left out, and the sizes of the clusters as a histogram: the paper's Fig. 2.
+pub(super) fn described(clusters: &Clusters) -> String {
+    let images: usize = clusters.classes.iter().map(|class| class.learnt.len() + class.held_out.len()).sum();
+    let (classes, places) = (clusters.classes.len(), clusters.sizes.len());
+    let mut text = format!("classes   {classes} of {places} places, {}\n", counted(images as u64, "image"));
+    text += &format!(
+        "left out  {} with too few, {}; {} joined by pose\n",
+        counted(clusters.small_places as u64, "place"),
+        counted(clusters.duplicates as u64, "duplicate"),
+        clusters.joined_by_pose
+    );
+    let largest = clusters.sizes.first().copied().unwrap_or_default();
+    for from in (0..=largest).step_by(HISTOGRAM_STEP) {
+        let within = from..from + HISTOGRAM_STEP;
+        let count = clusters.sizes.iter().filter(|size| within.contains(size)).count();
+        text += &format!("{from:>6}–{:<4}{} {count}\n", within.end - 1, "▇".repeat(count.min(60)));
+    }
+    text.trim_end().to_owned()
+}
