@@ -92,6 +92,19 @@ impl Network {
         self.session.metadata().ok()?.custom(key)
     }
 
+    /// Runs the network on one tensor and copies every output, in the order of [`outputs`](Self::outputs).
+    #[cfg(feature = "train")]
+    pub(super) fn run_all(&mut self, input: (&str, [usize; 4], &[f32])) -> Result<Vec<Vec<f32>>, String> {
+        let words = |error: ort::Error| one_line(&error.to_string());
+        let (name, shape, values) = input;
+        let tensor = TensorRef::from_array_view((shape, values)).map_err(words)?;
+        let outputs = self.session.run(ort::inputs![name => tensor]).map_err(words)?;
+        let copied = |output: ort::value::DynValue| {
+            output.try_extract_tensor::<f32>().map(|(_, values)| values.to_vec())
+        };
+        outputs.into_iter().map(|(_, output)| copied(output).map_err(words)).collect()
+    }
+
     /// Runs the network on one tensor and copies one output.
     pub(super) fn run(
         &mut self,

@@ -24,6 +24,8 @@ mod error;
 mod generator;
 mod library;
 mod model;
+#[cfg(feature = "train")]
+mod observer;
 mod preprocess;
 mod runtime;
 #[cfg(feature = "train")]
@@ -42,6 +44,8 @@ pub use error::CnnError;
 pub use generator::{ImageGenerator, PixelRange, RANGE_KEY};
 pub use library::{LibraryFault, OLDEST_RUNTIME, RuntimeVersion};
 pub use model::{CARD_FILE, DescriptorModel, MODEL_FILE};
+#[cfg(feature = "train")]
+pub use observer::Observer;
 pub use preprocess::Preprocessor;
 pub use runtime::OnnxRuntime;
 #[cfg(feature = "train")]

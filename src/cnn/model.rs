@@ -46,9 +46,34 @@ impl DescriptorModel {
         if !got.eq_ignore_ascii_case(&card.sha256) {
             return Err(CnnError::HashMismatch { path, expected: card.sha256, got });
         }
-        let unfit = |reason| CnnError::UnfitNetwork { path: path.clone(), reason };
+        Self::of(card, &bytes, &path, (runtime, threads))
+    }
+
+    /// The network of these bytes of an ONNX file, as `card` has it but whatever hash it names, on `threads` threads as
+    /// in [`open`](Self::open).
+    ///
+    /// # Errors
+    /// [`CnnError::UnfitNetwork`] if the network is not the one that the card describes.
+    #[cfg(feature = "train")]
+    pub fn from_onnx(
+        card: &ModelCard,
+        network: &[u8],
+        runtime: &OnnxRuntime,
+        threads: usize,
+    ) -> Result<Self, CnnError> {
+        Self::of(card.clone(), network, Path::new(MODEL_FILE), (runtime, threads))
+    }
+
+    /// Makes the network of `bytes`, which are of the file `path`, and tries it once.
+    fn of(
+        card: ModelCard,
+        bytes: &[u8],
+        path: &Path,
+        (runtime, threads): (&OnnxRuntime, usize),
+    ) -> Result<Self, CnnError> {
+        let unfit = |reason| CnnError::UnfitNetwork { path: path.to_path_buf(), reason };
         let network =
-            Network::from_onnx(&runtime.library, &bytes, threads.clamp(1, MOST_THREADS)).map_err(unfit)?;
+            Network::from_onnx(&runtime.library, bytes, threads.clamp(1, MOST_THREADS)).map_err(unfit)?;
         signature::check(&network.inputs(), &network.outputs(), &card).map_err(unfit)?;
         let preprocessor = Preprocessor::new(&card.input);
         let mut model = Self { card, network, preprocessor };

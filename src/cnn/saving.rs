@@ -12,8 +12,8 @@ use crate::storage::{BESIDE_SUFFIX, DiskFolder, Folder, StorageError, create_fol
 /// Name of the page that tells of a model's training, in its folder.
 const REPORT_FILE: &str = "report.html";
 
-/// Makes `folder` the folder of the model of these bytes, whose hash is put into `card`, with the page `report`. Whenever
-/// power fails, there is either no such folder or all of it.
+/// Makes `folder` the folder of the model of these bytes, whose hash is put into `card`, with the page `report`.
+/// Whenever power fails, there is either no such folder or all of it.
 ///
 /// # Errors
 /// If there is something at `folder` already, or it cannot be written.

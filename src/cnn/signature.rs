@@ -13,12 +13,17 @@ pub(super) struct Port {
 
 /// Says what is wrong if the network does not take one image and give one descriptor as the card has it.
 pub(super) fn check(inputs: &[Port], outputs: &[Port], card: &ModelCard) -> Result<(), String> {
+    check_input(inputs, card)?;
+    check_port("output", outputs, &card.descriptor.name, &[1, card.descriptor.dimensions as i64])
+}
+
+/// Says what is wrong if the network does not take one image as the card has it.
+pub(super) fn check_input(inputs: &[Port], card: &ModelCard) -> Result<(), String> {
     if inputs.len() != 1 {
         return Err(format!("it takes {} inputs, expected one, `{}`", inputs.len(), card.input.name));
     }
     let (width, height) = (card.input.width_px as i64, card.input.height_px as i64);
-    check_port("input", inputs, &card.input.name, &[1, 3, height, width])?;
-    check_port("output", outputs, &card.descriptor.name, &[1, card.descriptor.dimensions as i64])
+    check_port("input", inputs, &card.input.name, &[1, 3, height, width])
 }
 
 fn check_port(kind: &str, ports: &[Port], name: &str, expected: &[i64]) -> Result<(), String> {

@@ -1,9 +1,10 @@
 //! A graph written node by node.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use super::error::OnnxError;
 use super::model::OnnxModel;
+use super::names::Names;
 use super::proto::attribute_proto::AttributeType;
 use super::proto::tensor_proto::DataType;
 use super::proto::tensor_shape_proto::{self, dimension::Value as Length};
@@ -40,8 +41,7 @@ pub enum Attribute {
 #[derive(Debug)]
 pub struct GraphBuilder {
     graph: GraphProto,
-    /// Names that are taken.
-    names: BTreeSet<String>,
+    names: Names,
     /// What the outputs of the graph that is gone on with are called now, so that their names are free.
     former_outputs: BTreeMap<String, String>,
 }
@@ -55,9 +55,7 @@ impl GraphBuilder {
 
     /// Goes on with `graph`, which has no outputs from now on.
     pub(super) fn on(mut graph: GraphProto) -> Self {
-        let mut names: BTreeSet<String> = graph.initializer.iter().map(|w| w.name().to_owned()).collect();
-        names.extend(graph.input.iter().map(|input| input.name().to_owned()));
-        names.extend(graph.node.iter().flat_map(|node| node.output.iter().cloned()));
+        let names = Names::of(&graph);
         let outputs = std::mem::take(&mut graph.output);
         let mut builder = Self { graph, names, former_outputs: BTreeMap::new() };
         outputs.iter().for_each(|output| builder.free(output.name()));
@@ -67,10 +65,10 @@ impl GraphBuilder {
     /// Gives what a node calls `name` another name.
     fn free(&mut self, name: &str) {
         if self.graph.node.iter().any(|node| node.output.iter().any(|output| output == name)) {
-            let fresh = self.fresh(&format!("former {name}"));
+            let fresh = self.names.fresh(&format!("former {name}"));
             self.graph.node.iter_mut().for_each(|node| rename(node, name, &fresh));
             self.graph.value_info.retain(|value| value.name() != name);
-            self.names.remove(name);
+            self.names.give_back(name);
             self.former_outputs.insert(name.to_owned(), fresh);
         }
     }
@@ -88,7 +86,7 @@ impl GraphBuilder {
 
     /// An input of f32 values.
     pub fn input(&mut self, name: &str, shape: &[Dimension]) -> Value {
-        let name = self.fresh(name);
+        let name = self.names.fresh(name);
         self.graph.input.push(described(&name, shape));
         Value(name)
     }
@@ -99,7 +97,7 @@ impl GraphBuilder {
     /// If there are not as many values as `shape` says.
     pub fn weight(&mut self, name: &str, shape: &[usize], values: &[f32]) -> Value {
         assert_eq!(shape.iter().product::<usize>(), values.len(), "values of {name}");
-        let name = self.fresh(name);
+        let name = self.names.fresh(name);
         self.graph.initializer.push(TensorProto {
             name: Some(name.clone()),
             dims: shape.iter().map(|&length| length as i64).collect(),
@@ -112,7 +110,7 @@ impl GraphBuilder {
 
     /// A node of one of the standard's operators, which gives one value.
     pub fn node(&mut self, operator: &str, inputs: &[&Value], attributes: &[(&str, Attribute)]) -> Value {
-        let name = self.fresh(&operator.to_lowercase());
+        let name = self.names.fresh(&operator.to_lowercase());
         self.add(operator, inputs, &name);
         if let Some(node) = self.graph.node.last_mut() {
             node.attribute = attributes.iter().map(|(name, attribute)| packed(name, attribute)).collect();
@@ -125,7 +123,7 @@ impl GraphBuilder {
     /// # Errors
     /// [`OnnxError::NameTaken`].
     pub fn output(&mut self, name: &str, value: &Value, shape: &[Dimension]) -> Result<(), OnnxError> {
-        if !self.names.insert(name.to_owned()) {
+        if !self.names.take(name) {
             return Err(OnnxError::NameTaken { name: name.to_owned() });
         }
         self.add("Identity", &[value], name);
@@ -151,18 +149,6 @@ impl GraphBuilder {
             ..Default::default()
         });
     }
-
-    /// `name`, or one like it that is not taken; it is from now on.
-    fn fresh(&mut self, name: &str) -> String {
-        let mut fresh = name.to_owned();
-        for number in 2.. {
-            if self.names.insert(fresh.clone()) {
-                break;
-            }
-            fresh = format!("{name} {number}");
-        }
-        fresh
-    }
 }
 
 /// Calls the value `from` that a node gives or takes `to`, also where graphs within it take it.
@@ -180,7 +166,7 @@ fn rename(node: &mut NodeProto, from: &str, to: &str) {
     }
 }
 
-fn packed(name: &str, attribute: &Attribute) -> AttributeProto {
+pub(super) fn packed(name: &str, attribute: &Attribute) -> AttributeProto {
     let mut packed = AttributeProto { name: Some(name.to_owned()), ..Default::default() };
     let kind = match attribute {
         &Attribute::Int(value) => {

@@ -36,4 +36,25 @@ pub enum OnnxError {
         /// The version needed.
         needed: i64,
     },
+    /// A weight is damaged or cannot be quantised.
+    #[error("weight `{name}` {reason}")]
+    BadWeight {
+        /// The weight.
+        name: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The range of an activation is missing or of no use.
+    #[error("the range of `{name}` {reason}; calibrate anew on images of the place")]
+    BadRange {
+        /// The activation.
+        name: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// No layer can be quantised.
+    #[error(
+        "the model has no convolution or product with f32 weights to quantise; it may be quantised already"
+    )]
+    NothingToQuantise,
 }

@@ -1,5 +1,7 @@
 //! Weights stored as f16: half the file, and the same f32 arithmetic, since each is widened where it is used.
 
+use std::collections::BTreeSet;
+
 use half::f16;
 
 use super::model::OnnxModel;
@@ -11,7 +13,8 @@ use super::proto::{AttributeProto, GraphProto, NodeProto, TensorProto};
 const FEWEST_VALUES: usize = 64;
 
 impl OnnxModel {
-    /// The model with its f32 weights stored as f16. A weight that f16 cannot hold, since it would overflow, stays.
+    /// The model with its f32 weights stored as f16. A weight that f16 cannot hold, since it would overflow, stays, and so do the
+    /// scales of what is quantised.
     #[must_use]
     pub fn stored_as_half(mut self) -> Self {
         self.proto.graph.iter_mut().for_each(store_as_half);
@@ -21,7 +24,8 @@ impl OnnxModel {
 
 fn store_as_half(graph: &mut GraphProto) {
     let mut widening = Vec::new();
-    for weight in &mut graph.initializer {
+    let scales = quantisation_scales(graph);
+    for weight in graph.initializer.iter_mut().filter(|weight| !scales.contains(weight.name())) {
         let is_input = graph.input.iter().any(|input| input.name() == weight.name());
         let values = f32_values(weight).filter(|values| !is_input && values.len() >= FEWEST_VALUES);
         let Some(halves) = values.and_then(|values| halves(&values)) else { continue };
@@ -37,14 +41,34 @@ fn store_as_half(graph: &mut GraphProto) {
     graph.node.splice(0..0, widening);
 }
 
+/// What integers are multiplied by: it is too small for f16, and ONNX Runtime wants to see it in the graph.
+fn quantisation_scales(graph: &GraphProto) -> BTreeSet<String> {
+    let is_step = |node: &&NodeProto| ["QuantizeLinear", "DequantizeLinear"].contains(&node.op_type());
+    graph.node.iter().filter(is_step).filter_map(|node| node.input.get(1).cloned()).collect()
+}
+
 /// The values of an f32 weight.
-fn f32_values(weight: &TensorProto) -> Option<Vec<f32>> {
+pub(super) fn f32_values(weight: &TensorProto) -> Option<Vec<f32>> {
     if weight.data_type() != DataType::Float as i32 {
         return None;
     }
     match &weight.raw_data {
         Some(raw) => Some(raw.as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect()),
         None => Some(weight.float_data.clone()),
+    }
+}
+
+/// The values of an f16 weight, widened.
+pub(super) fn f16_values(weight: &TensorProto) -> Option<Vec<f32>> {
+    if weight.data_type() != DataType::Float16 as i32 {
+        return None;
+    }
+    match &weight.raw_data {
+        Some(raw) => {
+            Some(raw.as_chunks::<2>().0.iter().map(|&bytes| f16::from_le_bytes(bytes).to_f32()).collect())
+        }
+        // The format keeps the bits of each in an integer of its own.
+        None => Some(weight.int32_data.iter().map(|&bits| f16::from_bits(bits as u16).to_f32()).collect()),
     }
 }
 

@@ -1,5 +1,5 @@
 //! ONNX models made and changed: a network written node by node, a head grafted onto a backbone, weights stored in
-//! half the bytes.
+//! half the bytes, a network quantised to 8 bits.
 //!
 //! The format is compiled from `onnx.proto` as ONNX 1.23 publishes it (Apache-2.0). What a model computes is ONNX
 //! Runtime's business; here its graph alone is looked at.
@@ -8,10 +8,13 @@ mod builder;
 mod error;
 mod half;
 mod model;
+mod names;
+mod quantisation;
 
 pub use builder::{Attribute, Dimension, GraphBuilder, Value};
 pub use error::OnnxError;
 pub use model::{OPSET, OnnxModel};
+pub use quantisation::{Range, Ranges};
 
 /// The messages of the format, as prost makes them.
 #[allow(missing_docs, unreachable_pub, clippy::all, clippy::pedantic)]

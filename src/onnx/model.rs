@@ -14,7 +14,7 @@ pub const OPSET: i64 = 17;
 /// Version of the format that belongs to it.
 const IR_VERSION: i64 = 8;
 /// From this version on, every operator that a head is made of means the same.
-const OLDEST_OPSET: i64 = 13;
+pub(super) const OLDEST_OPSET: i64 = 13;
 /// Name of the set of the standard's own operators.
 const STANDARD: [&str; 2] = ["", "ai.onnx"];
 
@@ -111,7 +111,7 @@ impl OnnxModel {
 }
 
 /// Drops every node, weight and note that no output needs. The inputs stay.
-fn prune(graph: &mut GraphProto) {
+pub(super) fn prune(graph: &mut GraphProto) {
     let mut needed: BTreeSet<String> = graph.output.iter().map(|output| output.name().to_owned()).collect();
     let mut kept = vec![false; graph.node.len()];
     // Nodes stand behind those whose values they take.
@@ -132,8 +132,13 @@ fn prune(graph: &mut GraphProto) {
     graph.quantization_annotation.retain(|note| needed.contains(note.tensor_name()));
 }
 
+/// Whether the node's operator is one of the standard's own.
+pub(super) fn is_standard(node: &NodeProto) -> bool {
+    STANDARD.contains(&node.domain())
+}
+
 /// Names of the values that a node takes, those included that graphs within it take from around it.
-fn taken_by(node: &NodeProto) -> Vec<String> {
+pub(super) fn taken_by(node: &NodeProto) -> Vec<String> {
     let mut taken = node.input.clone();
     for attribute in &node.attribute {
         for graph in attribute.g.iter().chain(&attribute.graphs) {

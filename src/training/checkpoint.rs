@@ -112,7 +112,8 @@ impl Checkpoint {
             body.extend(recall.to_le_bytes());
         }
         body.extend((*epoch as u64).to_le_bytes());
-        [glance.recall, glance.loss].map(|value| body.extend(value.to_le_bytes()));
+        body.extend(glance.recall.to_le_bytes());
+        body.extend(glance.loss.to_le_bytes());
         let device = |error: RecordError| TrainingError::Device { reason: error.to_string() };
         let networks = [state.network.clone(), network.clone()];
         let [latest, best] = networks.map(|network| network.into_record().into_bytes().map_err(device));

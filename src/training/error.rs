@@ -15,6 +15,9 @@ pub enum TrainingError {
         /// How many there are.
         classes: usize,
     },
+    /// There is nothing to see how large activations become, or how far two models agree.
+    #[error("not one image that can be looked at; a quantisation needs some of the place")]
+    NoImages,
     /// The loss is no number any more.
     #[error("the loss of epoch {epoch} is not finite; what the epochs before came to is kept")]
     NotFinite {

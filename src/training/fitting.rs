@@ -22,8 +22,8 @@ pub enum Loss {
         /// Sharpness of the softmax.
         scale: f32,
     },
-    /// That its class is the likeliest even with the cosine less by `margin` (Wang et al., "CosFace: Large Margin Cosine
-    /// Loss for Deep Face Recognition", CVPR 2018, eq. 4).
+    /// That its class is the likeliest even with the cosine less by `margin` (Wang et al., "CosFace: Large Margin
+    /// Cosine Loss for Deep Face Recognition", CVPR 2018, eq. 4).
     CosFace {
         /// Sharpness of the softmax: s of the paper.
         scale: f32,
@@ -100,8 +100,8 @@ pub(super) trait Lesson {
     /// Class of each of what is learnt.
     fn classes(&self) -> &[usize];
 
-    /// Cosines of what is learnt under the numbers `batch` to all classes, `[batch, classes]`. Whatever is drawn, is drawn
-    /// from `random`.
+    /// Cosines of what is learnt under the numbers `batch` to all classes, `[batch, classes]`. Whatever is drawn, is
+    /// drawn from `random`.
     ///
     /// # Errors
     /// If what is learnt cannot be read.
@@ -129,8 +129,9 @@ pub(super) struct Fitted<N> {
     pub(super) epochs: Vec<Epoch>,
 }
 
-/// Trains `start`, or goes on where `checkpoint` says; of all epochs the one is kept after which most is recognised of
-/// what is only looked at, and most surely. `progress` hears of every epoch, and may end the training early, with the best one so far.
+/// Trains `start`, or goes on where `checkpoint` says; of all epochs the one is kept after which most is recognised
+/// of what is only looked at, and most surely. `progress` hears of every epoch, and may end the training early, with
+/// the best one so far.
 ///
 /// # Errors
 /// [`TrainingError::NotFinite`], what `lesson` answers, or if the checkpoint cannot be written.

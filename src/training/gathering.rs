@@ -65,7 +65,8 @@ impl Gathered {
     }
 }
 
-/// What `describe` says of `copies` of every one of `part` of `pictures`, each varied in its own way, settled by `seed`. `progress` hears of every one, and may end it.
+/// What `describe` says of `copies` of every one of `part` of `pictures`, each varied in its own way, settled by
+/// `seed`. `progress` hears of every one, and may end it.
 ///
 /// # Errors
 /// [`TrainingError::Interrupted`], what `describe` answers, or if the medium fails.

@@ -2,9 +2,9 @@
 //! labels anything.
 //!
 //! [`Clusters`] are the classes and what is known of each, parted by time into what is learnt and what is held out;
-//! [`Pictures`] are their images, and a [`Variation`] makes further ones of them. Either a [`Head`] is trained on the features that a frozen backbone has of them, or a
-//! [`PaperCnn`] on the images themselves. The [`TrainedModel`] is the network with its card, and knows how it stands on
-//! what was held out.
+//! [`Pictures`] are their images, and a [`Variation`] makes further ones of them. Either a [`Head`] is trained on the
+//! features that a frozen backbone has of them, or a [`PaperCnn`] on the images themselves. The [`TrainedModel`] is
+//! the network with its card, and knows how it stands on what was held out.
 
 mod augmentation;
 mod calibration;
@@ -19,6 +19,7 @@ mod labelled;
 mod paper;
 mod pictures;
 mod principal;
+mod quantisation;
 mod report;
 mod standing;
 mod trained_model;
@@ -36,6 +37,7 @@ pub use head::Head;
 pub use labelled::Labelled;
 pub use paper::{Filters, PaperCnn, PaperOptions};
 pub use pictures::{Picture, Pictures};
+pub use quantisation::{Agreement, agreement, quantise};
 pub use report::TrainingReport;
 pub use standing::Standing;
 pub use trained_model::TrainedModel;

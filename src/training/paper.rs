@@ -1,9 +1,10 @@
 //! The paper's CNN: three convolutions and a fully connected layer, trained from nothing.
 //!
-//! 16, 32 and 64 filters of 2 × 2, a ReLU after each, on images of 224 × 224 (section IV of the paper). What it leaves
-//! open: each image is brought to mean 0 and deviation 1, so that light that is only brighter tells nothing; after each
-//! ReLU a maximum over 2 × 2, and a mean over 3 × 3 after the last, without which the fully connected layer would have
-//! three million inputs; that layer makes the descriptor, and the classes are directions for it as those of any head.
+//! 16, 32 and 64 filters of 2 × 2, a ReLU after each, on images of 224 × 224 (section IV of the paper). What it
+//! leaves open: each image is brought to mean 0 and deviation 1, so that light that is only brighter tells nothing;
+//! after each ReLU a maximum over 2 × 2, and a mean over 3 × 3 after the last, without which the fully connected
+//! layer would have three million inputs; that layer makes the descriptor, and the classes are directions for it as
+//! those of any head.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -154,8 +155,9 @@ fn tensor(images: &[RgbImage], device: &Device) -> Result<Tensor<4>, TrainingErr
 }
 
 impl PaperCnn {
-    /// Trains on `pictures` of `classes` classes, each varied anew each time that it is learnt; of all epochs the one is
-    /// kept after which most of what is only looked at is recognised. `progress` hears of every epoch and may end the training early, with the best one so far.
+    /// Trains on `pictures` of `classes` classes, each varied anew each time that it is learnt; of all epochs the one
+    /// is kept after which most of what is only looked at is recognised. `progress` hears of every epoch and may end
+    /// the training early, with the best one so far.
     ///
     /// # Errors
     /// [`TrainingError::TooFewClasses`] or [`TrainingError::NotFinite`], or if a map or the checkpoint fails.

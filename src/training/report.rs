@@ -61,8 +61,8 @@ impl TrainingReport<'_> {
              the place of: accepted.</p>\n"
                 .to_owned()
         } else {
-            "<p class=\"verdict refused\">It recognises less of what was held out than the model that it is to take the \
-             place of: kept aside, unless it was taken all the same.</p>\n"
+            "<p class=\"verdict refused\">It recognises less of what was held out than the model that it is to take \
+             the place of: kept aside, unless it was taken all the same.</p>\n"
                 .to_owned()
         }
     }

@@ -24,8 +24,8 @@ pub struct Standing {
 }
 
 impl Standing {
-    /// How the model stands that says `gathered` of the images. Classes that are `near` each other may show the same, so
-    /// neither is right or wrong for the other.
+    /// How the model stands that says `gathered` of the images. Classes that are `near` each other may show the same,
+    /// so neither is right or wrong for the other.
     #[must_use]
     pub fn of(gathered: &Gathered, is_near: impl Fn(usize, usize) -> bool) -> Self {
         let Gathered { learnt, checked, held_out } = gathered;

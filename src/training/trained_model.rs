@@ -24,7 +24,8 @@ pub struct TrainedModel {
 
 impl TrainedModel {
     /// The model of `network`, which says `descriptors` of the images of `clusters`, of which the model that it is to
-    /// take the place of says `current`. `card` tells what the network is; decision, classes and figures are put into it.
+    /// take the place of says `current`. `card` tells what the network is; decision, classes and figures are put into
+    /// it.
     #[must_use]
     pub fn new(
         network: OnnxModel,

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use loci::training::{FitOptions, Loss, PaperOptions};
+use serde::Serialize;
 
 /// Arguments of `loci train`.
 #[derive(Args)]
@@ -53,6 +54,9 @@ pub(in crate::cli) struct TrainArguments {
     /// An ONNX network that makes an image of an image, such as a GAN's generator: half of the copies go through it
     #[arg(long, value_name = "FILE")]
     pub(super) augment_model: Option<PathBuf>,
+    /// In what the model computes
+    #[arg(long, value_enum, default_value = "auto")]
+    pub(super) precision: Precision,
     /// Settles every draw
     #[arg(long, value_name = "N", default_value = "0")]
     pub(super) seed: u64,
@@ -71,6 +75,28 @@ pub(super) enum Architecture {
     Trunk,
     /// The paper's three convolutions and a fully connected layer, from nothing
     Paper,
+}
+
+/// In what a model computes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Precision {
+    /// int8 where that recognises as much of what is held out, give or take what chance may do; else f32
+    Auto,
+    /// 32 bits
+    F32,
+    /// 8 bits, two thirds of the time
+    Int8,
+}
+
+impl Precision {
+    pub(super) fn as_str(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::F32 => "f32",
+            Self::Int8 => "int8",
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]

@@ -1,6 +1,7 @@
 //! `loci train`: a better CNN from the clusters that a robot made by itself.
 
 mod arguments;
+mod precision;
 mod progress;
 mod report;
 
@@ -17,11 +18,12 @@ use loci::place_map::PlaceMap;
 use loci::raster::RgbImage;
 use loci::training::{
     Augmentation, Checkpoint, ClusterRules, Clusters, Device, Epoch, Gathered, Head, Labelled, PaperCnn,
-    Picture, Pictures, TrainedModel, TrainingError, TrainingReport, Variation, described, varied,
+    Picture, Pictures, TrainingError, TrainingReport, Variation, described, varied,
 };
 
 use self::arguments::Architecture;
 pub(super) use self::arguments::TrainArguments;
+use self::precision::Candidate;
 use self::progress::Progress;
 use super::console::{counted, say};
 use super::map::report_losses;
@@ -56,7 +58,9 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let images = clusters.classes.iter().map(|class| class.learnt.len() + class.held_out.len()).sum();
     let pictures =
         trainer.progress.images(images, "images", |show| Pictures::of(&maps, &mut clusters, show))?;
-    let (mut model, epochs) = trainer.train(&pictures, &clusters)?;
+    let current = trainer.gathered(&pictures, &mut trainer.open(&trainer.model)?)?;
+    let (candidate, epochs) = trainer.train(&pictures, (&clusters, &current))?;
+    let (mut model, precision) = trainer.in_precision(candidate, (&pictures, &clusters), &current)?;
     model.card.name = name_of(&out);
     let is_accepted = model.is_accepted() || arguments.accept;
     let folder = if is_accepted { &out } else { &aside };
@@ -64,7 +68,8 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let page = page.html();
     save_model(folder, &mut model.card, &model.network.to_bytes(), &page)?;
     trainer.forget_checkpoint()?;
-    let report = report::Report::new((&clusters, &pictures), (&model, &epochs), (folder, is_accepted));
+    let results = (&model, precision, &epochs[..]);
+    let report = report::Report::new((&clusters, &pictures), results, (folder, is_accepted));
     say(&if arguments.json { serde_json::to_string(&report)? } else { report.text() })?;
     let skipped = pictures.skipped + clusters.unreadable;
     if skipped > 0 {
@@ -116,25 +121,23 @@ impl<'a> Trainer<'a> {
         Ok(DescriptorModel::open(folder, &self.runtime, 2)?)
     }
 
-    /// Trains a model; answers it and how every epoch went.
+    /// Trains a model; answers it and how every epoch went. The one that it is to take the place of says `current`.
     fn train(
         &self,
         pictures: &Pictures<'_>,
-        clusters: &Clusters,
-    ) -> anyhow::Result<(TrainedModel, Vec<Epoch>)> {
-        let current = self.gathered(pictures, &mut self.open(&self.model)?)?;
+        (clusters, current): (&Clusters, &Gathered),
+    ) -> anyhow::Result<(Candidate, Vec<Epoch>)> {
         match self.arguments.architecture {
-            Architecture::Trunk => self.train_trunk(pictures, clusters, &current),
-            Architecture::Paper => self.train_paper(pictures, clusters, &current),
+            Architecture::Trunk => self.train_trunk(pictures, current),
+            Architecture::Paper => self.train_paper(pictures, clusters.classes.len()),
         }
     }
 
     fn train_trunk(
         &self,
         pictures: &Pictures<'_>,
-        clusters: &Clusters,
         current: &Gathered,
-    ) -> anyhow::Result<(TrainedModel, Vec<Epoch>)> {
+    ) -> anyhow::Result<(Candidate, Vec<Epoch>)> {
         let mut backbone = self.open(&self.backbone)?;
         let is_current = fs::canonicalize(&self.backbone)? == fs::canonicalize(&self.model)?;
         let features = if is_current { current.clone() } else { self.gathered(pictures, &mut backbone)? };
@@ -152,19 +155,16 @@ impl<'a> Trainer<'a> {
         let network = OnnxModel::read(&fs::read(self.backbone.join(MODEL_FILE))?)?;
         let (network, card) = head.grafted((network, backbone.card()))?;
         let descriptors = features.projected(&head.projection);
-        let model = TrainedModel::new(network, card, clusters, (&descriptors, current));
-        Ok((model, head.epochs))
+        Ok((Candidate { network, card, descriptors }, head.epochs))
     }
 
     fn train_paper(
         &self,
         pictures: &Pictures<'_>,
-        clusters: &Clusters,
-        current: &Gathered,
-    ) -> anyhow::Result<(TrainedModel, Vec<Epoch>)> {
+        classes: usize,
+    ) -> anyhow::Result<(Candidate, Vec<Epoch>)> {
         let options = self.arguments.paper_options();
         let checkpoint = self.checkpoint(&options, pictures)?;
-        let classes = clusters.classes.len();
         let cnn = self.progress.epochs(options.fit.epochs, &checkpoint, |show| {
             let pictures = (pictures, &self.variation);
             PaperCnn::train(pictures, classes, &options, (&Device::flex(), Some(&checkpoint)), show)
@@ -174,7 +174,7 @@ impl<'a> Trainer<'a> {
             Gathered::of(pictures, options.dimensions, &mut describe, show)
         })?;
         let (network, card) = cnn.to_onnx()?;
-        Ok((TrainedModel::new(network, card, clusters, (&descriptors, current)), cnn.head.epochs))
+        Ok((Candidate { network, card, descriptors }, cnn.head.epochs))
     }
 
     /// What `model` says of all images.

@@ -6,6 +6,7 @@ use loci::training::{Clusters, Epoch, Pictures, Standing, TrainedModel};
 use serde::Serialize;
 
 use super::super::console::counted;
+use super::arguments::Precision;
 
 /// Widest class of the histogram of cluster sizes.
 const HISTOGRAM_STEP: usize = 20;
@@ -21,6 +22,7 @@ pub(super) struct Report {
     joined_by_pose: usize,
     skipped: usize,
     epochs: usize,
+    precision: Precision,
     held_out: StandingReport,
     held_out_before: StandingReport,
     accepted: bool,
@@ -62,7 +64,7 @@ impl StandingReport {
 impl Report {
     pub(super) fn new(
         (clusters, pictures): (&Clusters, &Pictures<'_>),
-        (model, epochs): (&TrainedModel, &[Epoch]),
+        (model, precision, epochs): (&TrainedModel, Precision, &[Epoch]),
         (folder, accepted): (&Path, bool),
     ) -> Self {
         Self {
@@ -73,6 +75,7 @@ impl Report {
             joined_by_pose: clusters.joined_by_pose,
             skipped: pictures.skipped + clusters.unreadable,
             epochs: epochs.len(),
+            precision,
             held_out: (&model.standing).into(),
             held_out_before: (&model.current).into(),
             accepted,
@@ -82,11 +85,12 @@ impl Report {
 
     pub(super) fn text(&self) -> String {
         format!(
-            "held out  {}: {}\nbefore    {}\nmodel     {} (report.html says more)",
+            "held out  {}: {}\nbefore    {}\nmodel     {}, {} (its report.html says more)",
             counted(self.held_out.images as u64, "image"),
             self.held_out.text(),
             self.held_out_before.text(),
-            self.model
+            self.model,
+            self.precision.as_str()
         )
     }
 }
