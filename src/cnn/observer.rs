@@ -21,8 +21,8 @@ pub struct Observer {
 }
 
 impl Observer {
-    /// Opens the network of these bytes of an ONNX file, which takes what `card` says, and tries it once. It runs on one
-    /// thread.
+    /// Opens the network of these bytes of an ONNX file, which takes what `card` says, and tries it once. It runs on
+    /// one thread.
     ///
     /// # Errors
     /// [`CnnError::UnfitNetwork`] if it takes something else, or gives something else than scalars.

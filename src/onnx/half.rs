@@ -13,8 +13,8 @@ use super::proto::{AttributeProto, GraphProto, NodeProto, TensorProto};
 const FEWEST_VALUES: usize = 64;
 
 impl OnnxModel {
-    /// The model with its f32 weights stored as f16. A weight that f16 cannot hold, since it would overflow, stays, and so do the
-    /// scales of what is quantised.
+    /// The model with its f32 weights stored as f16. A weight that f16 cannot hold, since it would overflow, stays,
+    /// and so do the scales of what is quantised.
     #[must_use]
     pub fn stored_as_half(mut self) -> Self {
         self.proto.graph.iter_mut().for_each(store_as_half);

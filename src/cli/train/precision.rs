@@ -26,8 +26,8 @@ impl Candidate {
 }
 
 impl Trainer<'_> {
-    /// `candidate` in the precision that is wanted: if nothing is said, in 8 bits where that recognises as much, give or
-    /// take what chance may do.
+    /// `candidate` in the precision that is wanted: if nothing is said, in 8 bits where that recognises as much, give
+    /// or take what chance may do.
     pub(super) fn in_precision(
         &self,
         candidate: Candidate,

@@ -9,8 +9,8 @@ const STEPS: f32 = 255.0;
 /// Greatest magnitude of a weight of a depthwise convolution, in steps.
 const LARGEST_DEPTHWISE: f32 = 127.0;
 /// Greatest magnitude of any other weight, in steps. x86-64 processors without instructions for sums of 8-bit products
-/// (AVX2 without VNNI) add them up in pairs of 16 bits, which 2 · 255 · 64 still fits into; from 65 on, sums are cut off
-/// and the descriptors are those of another network. Depthwise kernels are computed otherwise.
+/// (AVX2 without VNNI) add them up in pairs of 16 bits, which 2 · 255 · 64 still fits into; from 65 on, sums are cut
+/// off and the descriptors are those of another network. Depthwise kernels are computed otherwise.
 const LARGEST_WEIGHT: f32 = 64.0;
 /// Greatest magnitude of a bias; as much again is left for the sum that it is added to.
 const LARGEST_BIAS: f64 = (1 << 30) as f64;
@@ -147,7 +147,8 @@ mod tests {
                 let own = &values[channel * 3..][..3];
                 let scale = integers.weight_scales[channel];
                 let largest = own.iter().fold(0.0_f32, |largest, value| largest.max(value.abs()));
-                let expected = (largest / 64.0).max(biases[channel].abs() / (input_scale * (1 << 30) as f32)).max(1e-18);
+                let for_bias = biases[channel].abs() / (input_scale * (1 << 30) as f32);
+                let expected = (largest / 64.0).max(for_bias).max(1e-18);
                 prop_assert!((scale - expected).abs() < 1e-5 * scale, "{scale} for {largest}");
                 for (value, &integer) in own.iter().zip(&integers.weights[channel * 3..]) {
                     prop_assert!((value - f32::from(integer) * scale).abs() <= 0.501 * scale);

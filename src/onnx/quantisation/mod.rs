@@ -56,10 +56,11 @@ impl OnnxModel {
         Ok((model, names))
     }
 
-    /// The model in 8 bits: every `Conv`, and every `Gemm` and `MatMul` with constant weights behind which an activation
-    /// function or a `Conv` follows. Products behind which none does are the network's head; they decide the direction
-    /// of a descriptor and stay as they are. So does a `Conv` of at most 32 channels, which would add more noise than it
-    /// saves time, and every layer whose weights are not constant f32 values (stored as f16 or not) of its own. `ranges` are those of the names that [`observed`](Self::observed) gives.
+    /// The model in 8 bits: every `Conv`, and every `Gemm` and `MatMul` with constant weights behind which an
+    /// activation function or a `Conv` follows. Products behind which none does are the network's head; they decide
+    /// the direction of a descriptor and stay as they are. So does a `Conv` of at most 32 channels, which would add
+    /// more noise than it saves time, and every layer whose weights are not constant f32 values (stored as f16 or not)
+    /// of its own. `ranges` are those of the names that [`observed`](Self::observed) gives.
     ///
     /// # Errors
     /// [`OnnxError::OldOperators`], [`OnnxError::BadWeight`], [`OnnxError::BadRange`], or

@@ -83,9 +83,9 @@ impl Plan {
         Ok(Self { layers, activations })
     }
 
-    /// Whether `node`, which stands at `index`, takes what is quantised as f32 from integers. A layer that stays in f32
-    /// takes it as it was: ONNX Runtime would quantise the weights of one that stands among integers by itself, all with
-    /// one scale.
+    /// Whether `node`, which stands at `index`, takes what is quantised as f32 from integers. A layer that stays in
+    /// f32 takes it as it was: ONNX Runtime would quantise the weights of one that stands among integers by itself,
+    /// all with one scale.
     pub(super) fn takes_integers(&self, index: usize, node: &NodeProto) -> bool {
         self.layers.contains_key(&index) || !WEIGHTED.contains(&node.op_type())
     }
