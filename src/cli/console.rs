@@ -5,7 +5,7 @@ use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use loci::cnn::CnnError;
+use loci::cnn::{CnnError, ModelCard};
 use loci::pipeline::{RunSummary, Watcher};
 use loci::place_map::MapError;
 use loci::recognition::Decision;
@@ -115,6 +115,18 @@ impl Watcher for Reporter {
         let is_turn = self.is_learning && !goes_on_learning;
         let consequence = if is_turn { "; going on read-only, nothing more is learnt" } else { "" };
         self.progress.suspend(|| eprintln!("loci: {failure}{consequence}"));
+    }
+
+    fn model_changed(&self, card: &ModelCard, frame_index: u64, described_anew: usize) {
+        let anew = counted(described_anew, "keyframe");
+        let line =
+            format!("model {} is in use from frame {frame_index} on ({anew} described anew)", card.name);
+        self.progress.suspend(|| eprintln!("loci: {line}"));
+    }
+
+    fn model_refused(&self, reason: &str, in_use: &ModelCard) {
+        let name = &in_use.name;
+        self.progress.suspend(|| eprintln!("loci: new model refused: {reason}; going on with {name}"));
     }
 
     fn decided(&self, _: &FrameRecord) {

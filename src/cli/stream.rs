@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use bytesize::ByteSize;
-use loci::cnn::{CnnError, DescriptorModel, ModelCard, OnnxRuntime, RuntimeVersion};
+use loci::cnn::{CnnError, DescriptorModel, ModelCard, OnnxRuntime};
 use loci::feature::{OrbExtractor, OrbOptions};
-use loci::pipeline::Pipeline;
+use loci::pipeline::{ModelFolder, Pipeline};
 use loci::place_map::{MapError, MapOptions, PlaceMap};
 use loci::recognition::{Recogniser, RecognitionOptions};
 use loci::source;
@@ -34,18 +34,21 @@ pub(super) fn pipeline(
     let sample_interval = settings.sample_interval.map(|interval| u64::from(interval.get()));
     let source = source::open(source, sample_interval)?;
     let vocabularies = VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?;
-    let model = open_cnn(settings)?.map(|(model, _)| model);
+    let (model, model_folder) = open_cnn(settings)?.unzip();
     let (map, unwritable) = open_map(settings, map_options, options.read_only)?;
     report_condition(&map);
     let card = model.as_ref().map(|model| model.card().clone());
     let mut recogniser = Recogniser::new(Arc::new(vocabularies), map, card, options)?;
-    report_foreign_descriptors(recogniser.foreign_descriptors(), model.as_ref().map(DescriptorModel::card));
+    let foreign = recogniser.foreign_descriptors();
+    let outlook = " until they are described anew";
+    report_foreign_descriptors(foreign, model.as_ref().map(DescriptorModel::card), outlook);
     if let Some(unwritable) = unwritable {
         recogniser.read_only_because(unwritable);
     }
     // Last, so that a run that cannot start replaces no recording and opens no viewer.
     sinks.extend(rerun_sink(&rerun)?);
-    Ok(Pipeline { source, extractor: OrbExtractor::new(OrbOptions::default()), model, recogniser, sinks })
+    let extractor = OrbExtractor::new(OrbOptions::default());
+    Ok(Pipeline { source, extractor, model, model_folder, recogniser, sinks })
 }
 
 /// The map of `settings`; where there is one but it is damaged or its folder cannot be written, for reading, with the
@@ -103,9 +106,9 @@ pub(super) fn recognition_options(settings: &StreamSettings) -> anyhow::Result<R
     })
 }
 
-/// The CNN of `settings` and the runtime that runs it; `None` where none is wanted and, said loudly, where no ONNX
-/// Runtime can run it.
-fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<(DescriptorModel, RuntimeVersion)>> {
+/// The CNN of `settings` and where it came from; `None` where none is wanted and, said loudly, where no ONNX Runtime
+/// can run it.
+fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<(DescriptorModel, ModelFolder)>> {
     if settings.is_without_cnn() {
         return Ok(None);
     }
@@ -117,9 +120,10 @@ fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<(DescriptorModel
         }
         Err(error) => return Err(error.into()),
     };
-    let folder = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
+    let path = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
     let threads = settings.threads.map_or(1, |threads| threads.get() as usize);
-    Ok(Some((DescriptorModel::open(&folder, &runtime, threads)?, runtime.version())))
+    let folder = ModelFolder { path, runtime, threads };
+    Ok(Some((folder.open()?, folder)))
 }
 
 /// What looks at frames for an evaluation, with the version of the ONNX Runtime that it uses.
@@ -127,19 +131,20 @@ fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<(DescriptorModel
 pub(super) fn eyes(
     vocabularies: &[std::path::PathBuf],
     settings: &StreamSettings,
-) -> anyhow::Result<(loci::evaluation::Eyes, Option<RuntimeVersion>)> {
+) -> anyhow::Result<(loci::evaluation::Eyes, Option<loci::cnn::RuntimeVersion>)> {
     let vocabularies = Arc::new(VocabularySet::open(vocabularies)?);
-    let (model, version) = open_cnn(settings)?.unzip();
+    let (model, folder) = open_cnn(settings)?.unzip();
+    let version = folder.map(|folder| folder.runtime.version());
     let extractor = OrbExtractor::new(OrbOptions::default());
     Ok((loci::evaluation::Eyes { extractor, vocabularies, model }, version))
 }
 
-/// Says how many keyframes cannot be compared by the model of `card`.
-pub(super) fn report_foreign_descriptors(keyframes: usize, card: Option<&ModelCard>) {
+/// Says how many keyframes cannot be compared by the model of `card`, and until when.
+pub(super) fn report_foreign_descriptors(keyframes: usize, card: Option<&ModelCard>, outlook: &str) {
     let (count @ 1.., Some(card)) = (keyframes, card) else { return };
-    let (verb, pronoun) = if count == 1 { ("has", "it is") } else { ("have", "they are") };
+    let verb = if count == 1 { "has" } else { "have" };
     eprintln!(
-        "loci: {} {verb} CNN descriptors of another model than {}; {pronoun} found by BoW+HV alone",
+        "loci: {} {verb} CNN descriptors of another model than {}; they are found by BoW+HV alone{outlook}",
         counted(count, "keyframe"),
         card.name
     );

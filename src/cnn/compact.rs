@@ -3,6 +3,8 @@
 //! Values are stored as shares of the greatest one in 127ths. Of a descriptor of 512 values that moves a cosine by
 //! about 3e-4 (one standard deviation), a thirtieth of what tells a threshold from the next sensible one.
 
+use std::sync::Arc;
+
 use super::Descriptor;
 
 /// Shares of the greatest value.
@@ -15,7 +17,8 @@ const MAX_DIMENSIONS: usize = 1 << 16;
 pub struct CompactDescriptor {
     /// What a step of the values stands for, so that they have length 1 together.
     step: f32,
-    values: Box<[i8]>,
+    /// Shared, for one descriptor may be in an index and wait to be stored.
+    values: Arc<[i8]>,
 }
 
 impl From<&Descriptor> for CompactDescriptor {
@@ -36,7 +39,7 @@ impl CompactDescriptor {
         has_direction.then(|| Self::of_length_one(values.into()))
     }
 
-    fn of_length_one(values: Box<[i8]>) -> Self {
+    fn of_length_one(values: Arc<[i8]>) -> Self {
         let squared: i64 = values.iter().map(|&value| i64::from(value).pow(2)).sum();
         Self { step: (squared as f64).sqrt().recip() as f32, values }
     }

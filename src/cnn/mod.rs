@@ -33,8 +33,8 @@ mod saving;
 mod search;
 mod signature;
 
-#[cfg(all(test, feature = "train"))]
-pub(crate) use model::tests::runtime as installed_runtime;
+#[cfg(all(test, feature = "cnn"))]
+pub(crate) use model::tests::{MEANS, model_folder, runtime as installed_runtime, toy_network};
 
 pub use card::{ClassCard, DecisionCard, DescriptorCard, InputCard, ModelCard, TrainingCard};
 pub use compact::CompactDescriptor;

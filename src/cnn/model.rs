@@ -163,8 +163,8 @@ pub(super) mod tests {
         message(field, &[text(1, name), message(2, &[tensor])])
     }
 
-    /// An ONNX network of one to three operators in a row, from `image` [1, 3, 16, 16] to `output` [1, 3].
-    fn toy_network(operators: &[&str], output: &str) -> Vec<u8> {
+    /// An ONNX network of one to four operators in a row, from `image` [1, 3, 16, 16] to `output` [1, 3].
+    pub(crate) fn toy_network(operators: &[&str], output: &str) -> Vec<u8> {
         let name = |i: usize| match i {
             0 => "image".to_owned(),
             i if i == operators.len() => output.to_owned(),
@@ -184,7 +184,7 @@ pub(super) mod tests {
     }
 
     /// A model folder with that network and a card for it: each mean of R, G, B, minus 100.
-    fn model_folder(network: &[u8]) -> TempDir {
+    pub(crate) fn model_folder(network: &[u8]) -> TempDir {
         let folder = TempDir::new().unwrap();
         let card = CARD
             .replace("width_px = 224", "width_px = 16")
@@ -207,7 +207,7 @@ pub(super) mod tests {
         RgbImage::from_pixels(5, 4, colour.repeat(20)).unwrap()
     }
 
-    const MEANS: [&str; 2] = ["GlobalAveragePool", "Flatten"];
+    pub(crate) const MEANS: [&str; 2] = ["GlobalAveragePool", "Flatten"];
 
     #[test]
     fn sha256_is_the_standard_one() {

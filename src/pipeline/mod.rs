@@ -3,30 +3,44 @@
 //! ```text
 //! capture ─┬─> features ─┐
 //!          └─> cnn ──────┴─> recognition ──> sinks
+//!               ▲               ▲
+//!               └─── models ────┘
 //! ```
 //!
 //! Queues are bounded, and a full one holds up the stage before it, so memory does not grow; files
 //! lose no frame. Whatever ends one stage (the last frame, a failure, the stop flag) closes its queue,
 //! and the others follow.
 
+mod desk;
+mod exchange;
+mod folder_watch;
+mod model_keeper;
+#[cfg(all(test, feature = "cnn"))]
+mod model_tests;
 mod perception;
+mod self_test;
 mod stages;
 mod summary;
+mod watcher;
 
+pub use exchange::ModelInUse;
+pub use model_keeper::ModelFolder;
 pub use perception::{Perception, PerceptionLatency, Seen};
 pub use summary::{RunSummary, StageStatistics};
+pub use watcher::Watcher;
 
 use std::sync::atomic::AtomicBool;
 use std::thread;
 
 use crossbeam_channel::{Sender, bounded};
 
-use crate::cnn::{CnnError, DescriptorModel};
+use crate::cnn::DescriptorModel;
 use crate::feature::OrbExtractor;
-use crate::place_map::{Durability, MapError};
+use crate::place_map::Durability;
 use crate::recognition::Recogniser;
-use crate::source::{FrameSource, SourceError};
-use crate::telemetry::{FrameRecord, RecognitionSink, TelemetryError};
+use crate::source::FrameSource;
+use crate::telemetry::{RecognitionSink, TelemetryError};
+use model_keeper::ModelKeeper;
 
 /// Frames that wait between two stages at most.
 const QUEUE_FRAMES: usize = 4;
@@ -43,20 +57,6 @@ pub enum PipelineError {
     Thread(#[from] std::io::Error),
 }
 
-/// Hears what happens while a stream runs.
-pub trait Watcher: Sync {
-    /// A frame could not be read and was skipped.
-    fn skipped(&self, error: &SourceError);
-    /// The CNN failed on a frame, which BoW+HV then decided alone.
-    fn cnn_failed(&self, frame_name: &str, error: &CnnError);
-    /// The map could not be read or changed; unless the robot `goes_on_learning`, it is only read from here on.
-    fn map_failed(&self, failure: &MapError, goes_on_learning: bool);
-    /// A frame was looked at.
-    fn seen(&self, _seen: &Seen) {}
-    /// A frame was decided.
-    fn decided(&self, _record: &FrameRecord) {}
-}
-
 /// The parts of a stream, ready to run.
 pub struct Pipeline {
     /// Where frames come from.
@@ -65,6 +65,8 @@ pub struct Pipeline {
     pub extractor: OrbExtractor,
     /// The CNN, if there is one.
     pub model: Option<DescriptorModel>,
+    /// Where the CNN came from, if it is to be replaced when another one is deployed there.
+    pub model_folder: Option<ModelFolder>,
     /// Decides.
     pub recogniser: Recogniser,
     /// Where recognitions go.
@@ -77,7 +79,13 @@ impl Pipeline {
     /// # Errors
     /// If a sink refuses a record or no thread can be had. A map that fails ends nothing: the watcher hears of it.
     pub fn run(self, stop: &AtomicBool, watcher: &dyn Watcher) -> Result<RunSummary, PipelineError> {
-        let Self { source, extractor, mut model, recogniser, sinks } = self;
+        let Self { source, extractor, mut model, model_folder, recogniser, sinks } = self;
+        let kept = model_folder.filter(|_| recogniser.has_cnn()).zip(model.as_ref());
+        let kept = kept.map(|(folder, model)| ModelKeeper::new(folder, model.card(), watcher));
+        let (keeper, desk, exchange) = match kept {
+            Some((keeper, desk, exchange)) => (Some(keeper), Some(desk), Some(exchange)),
+            None => (None, None, None),
+        };
         let vocabularies = recogniser.vocabularies().clone();
         let (to_sinks, records) = bounded(QUEUE_FRAMES);
         let upkeep = match recogniser.map().options().durability {
@@ -88,13 +96,17 @@ impl Pipeline {
         thread::scope(|scope| {
             let delivery = stages::named("sinks").spawn_scoped(scope, || stages::deliver(sinks, records))?;
             let perception =
-                Perception { extractor: &extractor, vocabularies: &vocabularies, model: model.as_mut() };
+                Perception::new(&extractor, &vocabularies, model.as_mut()).replacing_by(exchange);
             let perceive = |visit: stages::Visit<'_>| perception.run(source, stop, watcher, visit);
             let (keeping, ended) = bounded(0);
             if let Some((syncer, interval)) = upkeep {
                 stages::named("map").spawn_scoped(scope, move || stages::keep(&syncer, interval, &ended))?;
             }
-            let recognised = stages::recognise(recogniser, perceive, (to_sinks, shows_matched), watcher);
+            if let Some(keeper) = keeper {
+                stages::named("models").spawn_scoped(scope, move || keeper.run())?;
+            }
+            let decider = stages::Decider { recogniser, desk, to_sinks, shows_matched };
+            let recognised = decider.run(perceive, watcher);
             drop::<Sender<()>>(keeping);
             let delivered = stages::joined(delivery);
             let summary = recognised?;

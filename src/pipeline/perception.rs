@@ -7,6 +7,7 @@ use std::{io, thread};
 
 use crossbeam_channel::bounded;
 
+use super::exchange::{Describer, Exchange, ModelInUse};
 use super::stages::{self, Inputs};
 use super::{QUEUE_FRAMES, Watcher};
 use crate::cnn::DescriptorModel;
@@ -26,6 +27,8 @@ pub struct Seen {
     pub look: Look,
     /// What the CNN contributed.
     pub cnn: CnnStatus,
+    /// The model that the frame was given to, if there is one.
+    pub model: Option<ModelInUse>,
     /// How long it took.
     pub latency: PerceptionLatency,
 }
@@ -41,6 +44,13 @@ pub struct PerceptionLatency {
     pub cnn_us: u64,
 }
 
+impl PerceptionLatency {
+    /// Decoding, then features or the CNN, whichever takes longer: they go side by side.
+    pub(super) fn longest_us(&self) -> u64 {
+        self.decode_us + self.features_us.max(self.cnn_us)
+    }
+}
+
 /// What sees: features with their words, and the CNN where there is one.
 pub struct Perception<'a> {
     /// Finds features.
@@ -49,9 +59,26 @@ pub struct Perception<'a> {
     pub vocabularies: &'a VocabularySet,
     /// The CNN, if there is one.
     pub model: Option<&'a mut DescriptorModel>,
+    /// Where other models come from.
+    exchange: Option<Exchange>,
 }
 
-impl Perception<'_> {
+impl<'a> Perception<'a> {
+    /// What finds features by `extractor` and their words in `vocabularies`, and describes frames by `model`.
+    #[must_use]
+    pub fn new(
+        extractor: &'a OrbExtractor,
+        vocabularies: &'a VocabularySet,
+        model: Option<&'a mut DescriptorModel>,
+    ) -> Self {
+        Self { extractor, vocabularies, model, exchange: None }
+    }
+
+    /// The same, but that models take over which come by `exchange`.
+    pub(super) fn replacing_by(self, exchange: Option<Exchange>) -> Self {
+        Self { exchange, ..self }
+    }
+
     /// Looks at every frame of `source`, in order, until it ends, `stop` is set or `visit` breaks off.
     /// Answers how many frames could not be read.
     ///
@@ -64,7 +91,7 @@ impl Perception<'_> {
         watcher: &dyn Watcher,
         visit: impl FnMut(Seen) -> Result<ControlFlow<()>, E>,
     ) -> Result<u64, E> {
-        let Self { extractor, vocabularies, model } = self;
+        let Self { extractor, vocabularies, model, exchange } = self;
         let (to_features, captured) = bounded(QUEUE_FRAMES);
         let (to_inputs, featured) = bounded(QUEUE_FRAMES);
         thread::scope(|scope| {
@@ -73,8 +100,9 @@ impl Perception<'_> {
                 Some(model) => {
                     let (to_cnn, captured) = bounded(QUEUE_FRAMES);
                     let (to_inputs, described) = bounded(QUEUE_FRAMES);
+                    let describer = Describer::new(model, exchange);
                     stages::named("cnn")
-                        .spawn_scoped(scope, || stages::describe(model, captured, to_inputs))?;
+                        .spawn_scoped(scope, || stages::describe(describer, captured, to_inputs))?;
                     (Some(to_cnn), Some(described))
                 }
             };
@@ -115,7 +143,9 @@ fn seen(featured: stages::Featured, described: Option<stages::Described>) -> See
         Some(_) => CnnStatus::Failed,
     };
     let cnn_us = described.as_ref().map_or(0, |described| described.cnn_us);
+    let model = described.as_ref().map(|described| described.model.clone());
     let appearance = described.and_then(|described| described.descriptor.ok());
     let latency = PerceptionLatency { decode_us: captured.decode_us, features_us, cnn_us };
-    Seen { frame: captured.frame, look: Look { features, light, quantised, appearance }, cnn, latency }
+    let look = Look { features, light, quantised, appearance };
+    Seen { frame: captured.frame, look, cnn, model, latency }
 }

@@ -9,9 +9,11 @@ use std::{panic, thread};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
+use super::desk::Desk;
+use super::exchange::{Describer, ModelInUse};
 use super::perception::{PerceptionLatency, Seen};
 use super::{PipelineError, RunSummary, Watcher};
-use crate::cnn::{self, CnnError, DescriptorModel};
+use crate::cnn::{self, CnnError};
 use crate::feature::{Features, OrbExtractor};
 use crate::frame::Frame;
 use crate::place_map::{JournalSyncer, MapError, PlaceMap};
@@ -39,6 +41,8 @@ pub(super) struct Featured {
 /// A frame's descriptor, or why there is none.
 pub(super) struct Described {
     pub(super) descriptor: Result<cnn::Descriptor, CnnError>,
+    /// What it was given to.
+    pub(super) model: ModelInUse,
     pub(super) cnn_us: u64,
 }
 
@@ -100,14 +104,12 @@ pub(super) fn extract(
 
 /// Runs the CNN on every frame.
 pub(super) fn describe(
-    model: &mut DescriptorModel,
+    mut describer: Describer<'_>,
     captured: Receiver<Captured>,
     to_recognition: Sender<Described>,
 ) {
     for captured in captured {
-        let started = Instant::now();
-        let descriptor = model.describe(&captured.frame.colour);
-        if to_recognition.send(Described { descriptor, cnn_us: micros(started) }).is_err() {
+        if to_recognition.send(describer.describe(&captured.frame.colour)).is_err() {
             break;
         }
     }
@@ -131,43 +133,86 @@ impl Inputs {
     }
 }
 
-/// Decides every frame, in order.
-pub(super) fn recognise(
-    mut recogniser: Recogniser,
-    perceive: impl FnOnce(Visit<'_>) -> Result<u64, PipelineError>,
-    (to_sinks, shows_matched): (Sender<FrameRecord>, bool),
-    watcher: &dyn Watcher,
-) -> Result<RunSummary, PipelineError> {
-    let mut summary = RunSummary::new(recogniser.has_cnn());
-    let skipped = perceive(&mut |seen| {
-        let mut record = decide(&mut recogniser, seen);
+/// What decides frames, and where the answers go.
+pub(super) struct Decider {
+    pub(super) recogniser: Recogniser,
+    /// Where keyframes are described anew, if a CNN takes part that may be replaced.
+    pub(super) desk: Option<Desk>,
+    pub(super) to_sinks: Sender<FrameRecord>,
+    pub(super) shows_matched: bool,
+}
+
+impl Decider {
+    /// Decides every frame, in order.
+    pub(super) fn run(
+        mut self,
+        perceive: impl FnOnce(Visit<'_>) -> Result<u64, PipelineError>,
+        watcher: &dyn Watcher,
+    ) -> Result<RunSummary, PipelineError> {
+        let mut summary = RunSummary::new(self.recogniser.has_cnn());
+        summary.skipped = perceive(&mut |seen| {
+            let (record, failure) = self.answer(seen, watcher);
+            if let Some(failure) = failure {
+                watcher.map_failed(&failure, !self.recogniser.is_read_only());
+                summary.map_failures += 1;
+            }
+            summary.count(&record);
+            watcher.decided(&record);
+            let is_heard = self.to_sinks.send(record).is_ok();
+            Ok(if is_heard { ControlFlow::Continue(()) } else { ControlFlow::Break(()) })
+        })?;
+        if let Err(failure) = self.recogniser.close() {
+            watcher.map_failed(&failure, false);
+            summary.map_failures += 1;
+        }
+        summary.map = Some(self.recogniser.map().summary());
+        Ok(summary)
+    }
+
+    /// Decides a frame by the model that described it; answers, besides, what failed of the map.
+    fn answer(&mut self, seen: Seen, watcher: &dyn Watcher) -> (FrameRecord, Option<MapError>) {
+        let Self { recogniser, desk, shows_matched, .. } = self;
+        let (started, before_us) = (Instant::now(), seen.latency.longest_us());
+        if let Some(desk) = desk {
+            desk.take_orders(recogniser);
+        }
+        let model = seen.model.as_ref().and_then(|model| follow(recogniser, model, (&seen.frame, watcher)));
+        let mut record = FrameRecord { model, ..decide(recogniser, seen) };
+        if let Some(desk) = desk {
+            desk.show(recogniser);
+            recogniser.store_renewed();
+        }
+        record.latency.total_us = before_us + micros(started);
         let mut failure = recogniser.take_map_failure();
-        if shows_matched {
+        if *shows_matched {
             match matched_keyframe(recogniser.map(), &record.recognition) {
                 Ok(matched) => record.matched = matched,
                 Err(unreadable) => failure = failure.or(Some(unreadable)),
             }
         }
-        if let Some(failure) = failure {
-            watcher.map_failed(&failure, !recogniser.is_read_only());
-            summary.map_failures += 1;
-        }
-        summary.count(&record);
-        watcher.decided(&record);
-        let is_heard = to_sinks.send(record).is_ok();
-        Ok(if is_heard { ControlFlow::Continue(()) } else { ControlFlow::Break(()) })
-    })?;
-    if let Err(failure) = recogniser.close() {
-        watcher.map_failed(&failure, false);
-        summary.map_failures += 1;
+        (record, failure)
     }
-    summary.skipped = skipped;
-    summary.map = Some(recogniser.map().summary());
-    Ok(summary)
+}
+
+/// Has the recogniser compare what `model` described with nothing else's descriptors; answers the model's hash if it is
+/// another one than before.
+fn follow(
+    recogniser: &mut Recogniser,
+    model: &ModelInUse,
+    (frame, watcher): (&Frame, &dyn Watcher),
+) -> Option<String> {
+    let changed = recogniser.use_model(&model.card).map(|described_anew| {
+        watcher.model_changed(&model.card, frame.index, described_anew);
+        model.card.sha256.clone()
+    });
+    if !model.is_on_trial {
+        recogniser.settle_model();
+    }
+    changed
 }
 
 fn decide(recogniser: &mut Recogniser, seen: Seen) -> FrameRecord {
-    let Seen { frame, look, cnn, latency } = seen;
+    let Seen { frame, look, cnn, latency, .. } = seen;
     let started = Instant::now();
     let mut candidates = recogniser.retrieve(&look);
     let retrieval_us = micros(started);
@@ -176,9 +221,10 @@ fn decide(recogniser: &mut Recogniser, seen: Seen) -> FrameRecord {
     let thumbnail = || thumbnail_jpeg(&frame.colour);
     let recognition = recogniser.decide(&frame, &look, (candidates, verification), thumbnail);
     let PerceptionLatency { decode_us, features_us, cnn_us } = latency;
-    let total_us = decode_us + features_us.max(cnn_us) + micros(started);
+    // Known once everything was done for the frame.
+    let total_us = 0;
     let latency = StageLatency { decode_us, features_us, cnn_us, retrieval_us, verification_us, total_us };
-    FrameRecord { frame, look: Arc::new(look), recognition, matched: None, cnn, latency }
+    FrameRecord { frame, look: Arc::new(look), recognition, matched: None, cnn, model: None, latency }
 }
 
 fn matched_keyframe(map: &PlaceMap, recognition: &Recognition) -> Result<Option<MatchedKeyframe>, MapError> {
@@ -221,6 +267,7 @@ pub(super) fn joined<T>(stage: ScopedJoinHandle<'_, T>) -> T {
     stage.join().unwrap_or_else(|defect| panic::resume_unwind(defect))
 }
 
-fn micros(since: Instant) -> u64 {
+/// Microseconds since then.
+pub(super) fn micros(since: Instant) -> u64 {
     u64::try_from(since.elapsed().as_micros()).unwrap_or(u64::MAX)
 }

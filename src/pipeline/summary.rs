@@ -22,6 +22,8 @@ pub struct RunSummary {
     pub cnn_failures: u64,
     /// Times that the map could not be read or changed.
     pub map_failures: u64,
+    /// Times that another model took over, or the one before came back.
+    pub model_changes: u64,
     /// Whether a CNN took part.
     pub has_cnn: bool,
     /// Frames a decision, by the decision's word.
@@ -53,6 +55,7 @@ impl RunSummary {
             skipped: 0,
             cnn_failures: 0,
             map_failures: 0,
+            model_changes: 0,
             has_cnn,
             decisions: BTreeMap::new(),
             map: None,
@@ -62,6 +65,7 @@ impl RunSummary {
 
     pub(super) fn count(&mut self, record: &FrameRecord) {
         self.frames += 1;
+        self.model_changes += u64::from(record.model.is_some());
         self.cnn_failures += u64::from(record.cnn == CnnStatus::Failed);
         *self.decisions.entry(record.recognition.decision.as_str()).or_default() += 1;
         let latency = &record.latency;

@@ -27,6 +27,7 @@ mod power_cut_tests;
 mod reading;
 #[cfg(test)]
 mod refusal_tests;
+mod renewal;
 mod replay;
 mod salvage;
 #[cfg(test)]

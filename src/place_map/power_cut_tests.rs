@@ -11,7 +11,7 @@ use rand_pcg::Pcg64;
 
 use super::journal::segment_name;
 use super::scripted_life::Step::{
-    Background, Close, Compact, Found, Learn, Merge, Name, Reopen, Split, Sync,
+    Background, Close, Compact, Found, Learn, Merge, Name, Renew, Reopen, Split, Sync,
 };
 use super::scripted_life::{Facts, INTERVAL, Life, Step, facts, learn, live, open, options, script};
 use super::{Durability, ExperienceId, MapError, PlaceId, PlaceMap, snapshot};
@@ -195,6 +195,7 @@ fn steps() -> impl Strategy<Value = Vec<Step>> {
         1 => place().prop_map(Name),
         1 => (place(), place()).prop_map(|(from, into)| Merge(from, into)),
         1 => place().prop_map(Split),
+        2 => (0..40_u32).prop_map(Renew),
         1 => Just(Sync),
         1 => Just(Background),
         1 => Just(Close),

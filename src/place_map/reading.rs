@@ -55,6 +55,11 @@ impl PlaceMap {
         self.contents.experiences.values()
     }
 
+    /// The experiences numbered `first` and above, oldest first.
+    pub fn experiences_from(&self, first: ExperienceId) -> impl Iterator<Item = &Experience> {
+        self.contents.experiences.range(first..).map(|(_, experience)| experience)
+    }
+
     /// The experience numbered `id`.
     #[must_use]
     pub fn experience(&self, id: ExperienceId) -> Option<&Experience> {

@@ -7,7 +7,8 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use super::tests::learn_with;
-use super::{Durability, Learnt, MapError, MapOptions, PlaceId, PlaceMap};
+use super::{Appearance, Durability, ExperienceId, Learnt, MapError, MapOptions, PlaceId, PlaceMap};
+use crate::cnn::CompactDescriptor;
 use crate::storage::Folder;
 use crate::storage::faulty::FaultyFolder;
 
@@ -29,6 +30,8 @@ pub(super) enum Step {
     Name(u32),
     Merge(u32, u32),
     Split(u32),
+    /// Computes the CNN descriptors of two experiences anew.
+    Renew(u32),
     Sync,
     /// What the thread that looks after durability does.
     Background,
@@ -41,7 +44,7 @@ pub(super) enum Step {
     Reopen,
 }
 
-use Step::{Absorb, Background, Close, Compact, Found, Learn, Merge, Name, Reopen, Split, Sync};
+use Step::{Absorb, Background, Close, Compact, Found, Learn, Merge, Name, Renew, Reopen, Split, Sync};
 
 /// A life in which segments fill up, are emptied and deleted, and everything else happens once at least.
 pub(super) fn script() -> Vec<Step> {
@@ -52,7 +55,7 @@ pub(super) fn script() -> Vec<Step> {
     script.extend(learn(10));
     script.extend([Merge(2, 0), Close, Name(2), Found]);
     script.extend(learn(12));
-    script.extend([Background, Split(2), Reopen]);
+    script.extend([Background, Renew(3), Split(2), Reopen]);
     script.extend(learn(9));
     script.extend([Compact, Merge(4, 1), Absorb, Background]);
     script.extend(learn(5));
@@ -137,7 +140,9 @@ pub(super) fn live(folder: &FaultyFolder, durability: Durability, script: &[Step
         match take_step(&mut life.map, folder, durability, (index as u64, step)) {
             Ok(()) => {
                 life.states.extend(life.map.as_ref().map(|map| facts_of(folder, map)));
-                if durability == Durability::Every || matches!(step, Sync | Close | Compact | Reopen) {
+                // What is computed anew is no answer that somebody was given.
+                let is_answered = durability == Durability::Every && !matches!(step, Renew(_));
+                if is_answered || matches!(step, Sync | Close | Compact | Reopen) {
                     life.certain = index + 1;
                 }
             }
@@ -173,6 +178,7 @@ fn take_step(
         Name(place) => map.name_place(known(place), &format!("name {index}")),
         Merge(from, into) => map.merge_places(known(from), known(into)),
         Split(place) => map.split_place(known(place)),
+        Renew(first) => map.renew_appearances(&renewed(first, index)).map(drop),
         Sync => map.sync(),
         Background => {
             map.syncer().sync();
@@ -184,6 +190,13 @@ fn take_step(
         Reopen => Ok(()),
     };
     if map.is_writable() { Ok(()) } else { done }
+}
+
+/// Other descriptors of two experiences, if there are any of those numbers.
+fn renewed(first: u32, index: u64) -> [(ExperienceId, Appearance); 2] {
+    let descriptor = CompactDescriptor::from_values(vec![100, index as i8, 1]).unwrap();
+    let appearance = Appearance { model: "new".to_owned(), descriptor };
+    [first, first + 1].map(|id| (ExperienceId(id), appearance.clone()))
 }
 
 /// A map of two places, to be absorbed.

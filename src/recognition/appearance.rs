@@ -8,8 +8,8 @@ use super::candidate::{Candidate, Evidence, MAX_CANDIDATES};
 use crate::cnn::CompactDescriptor;
 use crate::place_map::{ExperienceId, PlaceId};
 
-/// What the allocator takes for itself of every descriptor.
-const ALLOCATION_BYTES: usize = 16;
+/// What the allocator and those who count who shares it take of every descriptor.
+pub(super) const ALLOCATION_BYTES: usize = 32;
 /// Memory of a position, with what tables keep in reserve.
 const POSITION_BYTES: usize = 16;
 
@@ -43,11 +43,20 @@ impl AppearanceIndex {
         }
     }
 
+    pub(super) fn contains(&self, keyframe: ExperienceId) -> bool {
+        self.positions.contains_key(&keyframe)
+    }
+
     /// From now on the keyframe is one of `place`.
     pub(super) fn rename(&mut self, keyframe: ExperienceId, place: PlaceId) {
         if let Some(&position) = self.positions.get(&keyframe) {
             self.entries[position as usize].place = place;
         }
+    }
+
+    /// Number of keyframes.
+    pub(super) fn len(&self) -> usize {
+        self.entries.len()
     }
 
     /// Bytes of memory that it takes, roughly.

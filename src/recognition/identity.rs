@@ -244,6 +244,7 @@ impl Recogniser {
         for keyframe in self.keyframes_of(place) {
             self.keyframes.rename(keyframe, place);
             self.appearances.rename(keyframe, place);
+            self.renewals.rename(keyframe, place);
         }
         self.stay_near(place)
     }

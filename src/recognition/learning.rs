@@ -59,7 +59,7 @@ impl Recogniser {
             keyframe: keyframe.as_ref().map(|(features, traits)| (features, traits)),
         };
         let learnt = self.map.learn(place, &new)?;
-        learnt.given_up.iter().for_each(|&given_up| self.forget(given_up));
+        learnt.given_up.iter().for_each(|&given_up| self.give_up(given_up));
         if let (Some(experience), Some((features, traits))) = (learnt.experience, keyframe) {
             self.make_findable((learnt.place, experience), traits, Some(&features))?;
         }
@@ -70,13 +70,20 @@ impl Recogniser {
     pub(super) fn forget(&mut self, keyframe: ExperienceId) {
         self.keyframes.remove(keyframe);
         self.appearances.remove(keyframe);
+        self.renewals.forget(keyframe);
+    }
+
+    /// The map has given a keyframe up.
+    pub(super) fn give_up(&mut self, keyframe: ExperienceId) {
+        self.forget(keyframe);
+        self.renewals.give_up(keyframe);
     }
 
     /// Forgets the keyframes that the map has given up; a change that failed half-way does not say which.
     pub(super) fn forget_given_up(&mut self) {
         let is_gone = |keyframe: &ExperienceId| self.map.experience(*keyframe).is_none();
         let gone: Vec<ExperienceId> = self.keyframes.experiences().filter(is_gone).collect();
-        gone.into_iter().for_each(|keyframe| self.forget(keyframe));
+        gone.into_iter().for_each(|keyframe| self.give_up(keyframe));
     }
 
     fn appearance(&self, look: &Look) -> Option<Appearance> {
@@ -107,14 +114,23 @@ impl Recogniser {
                 self.keyframes.add_growing(keyframe, features);
             }
         }
-        if let (Some(model), Some(appearance)) = (&self.model, traits.appearance) {
-            let (place, experience) = keyframe;
-            if appearance.model == model.sha256 {
-                self.appearances.add(place, experience, appearance.descriptor);
-            } else {
-                self.foreign_descriptors += 1;
-            }
-        }
+        self.make_known(keyframe, traits.appearance);
         Ok(())
+    }
+
+    /// Has the CNN know a keyframe, if it has a descriptor of its model.
+    fn make_known(&mut self, (place, keyframe): (PlaceId, ExperienceId), stored: Option<Appearance>) {
+        let Some(model) = &self.model else { return };
+        let descriptor = match stored {
+            Some(Appearance { model: maker, descriptor }) if maker == model.sha256 => Some(descriptor),
+            stored => {
+                let renewed = self.renewals.get(&model.sha256, keyframe).cloned();
+                self.foreign_descriptors += usize::from(stored.is_some() && renewed.is_none());
+                renewed
+            }
+        };
+        if let Some(descriptor) = descriptor {
+            self.appearances.add(place, keyframe, descriptor);
+        }
     }
 }

@@ -17,6 +17,7 @@ mod learning;
 mod look;
 mod options;
 mod recogniser;
+mod renewal;
 mod visits;
 mod working_set;
 
@@ -26,6 +27,7 @@ pub use joining::{Join, Support};
 pub use look::Look;
 pub use options::RecognitionOptions;
 pub use recogniser::Recogniser;
+pub use renewal::{Exhibit, Walk};
 
 use crate::place_map::{ExperienceId, PlaceId};
 use crate::verification::Verification;

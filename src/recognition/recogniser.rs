@@ -9,6 +9,7 @@ use super::identity::Identities;
 use super::keyframe_index::KeyframeIndex;
 use super::look::Look;
 use super::options::RecognitionOptions;
+use super::renewal::Renewals;
 use super::visits::Visits;
 use super::working_set::WorkingSet;
 use super::{Decision, Recognition};
@@ -28,6 +29,7 @@ pub struct Recogniser {
     pub(super) visits: Visits,
     pub(super) working_set: WorkingSet,
     pub(super) identities: Identities,
+    pub(super) renewals: Renewals,
     pub(super) foreign_descriptors: usize,
     /// Why the map cannot be read or changed, until somebody asks.
     pub(super) map_failure: Option<MapError>,
@@ -53,6 +55,7 @@ impl Recogniser {
             model,
             map,
             appearances: AppearanceIndex::default(),
+            renewals: Renewals::default(),
             working_set: WorkingSet::default(),
             identities: Identities::default(),
             foreign_descriptors: 0,
@@ -365,11 +368,11 @@ mod tests {
     use std::path::Path;
     use std::sync::atomic::AtomicBool;
 
-    use super::super::{Join, Support};
+    use super::super::{Join, Support, Walk};
     use super::*;
     use crate::feature::{Descriptor, Features, Keypoint};
     use crate::geometry::Point;
-    use crate::place_map::{MapOptions, NewExperience, PlaceId, Traits};
+    use crate::place_map::{Appearance, MapOptions, NewExperience, PlaceId, Traits};
     use crate::raster::{GreyImage, RgbImage};
     use crate::vocabulary::{Light, LightSwitch, MemoryCorpus, TrainingOptions, train, train_on};
     use rand::{Rng, SeedableRng};
@@ -472,8 +475,9 @@ mod tests {
             let appearance = self.recogniser.has_cnn().then(|| appearance(look));
             let vocabularies = self.recogniser.vocabularies();
             let light = self.light.follow(vocabularies, mean_luminance);
+            let thumbnail = look as u8;
             let look = Look::new(features(place), (vocabularies, light), appearance);
-            self.recogniser.recognise(&frame, &look, Vec::new)
+            self.recogniser.recognise(&frame, &look, || vec![thumbnail])
         }
 
         fn frame(&self) -> Frame {
@@ -814,6 +818,88 @@ mod tests {
             let part = "they cannot be read: 1 (";
             assert!(said[0].contains(part) && said[0].contains("journal-000001.loci: bad"), "{said:?}");
         }
+    }
+
+    fn other_card() -> cnn::ModelCard {
+        cnn::ModelCard { sha256: "f".repeat(64), ..card() }
+    }
+
+    /// Keyframes of three places, with thumbnails, and the looks that the other model has of them: the next ones.
+    fn robot_with_thumbnails(map: PlaceMap) -> Robot {
+        let mut robot = Robot::new(Some(card()), no_interval(), map);
+        (0..3).for_each(|place| drop(robot.see(place, place as usize)));
+        robot
+    }
+
+    /// Walks through the map and describes what it shows as the other model does.
+    fn describe_anew(robot: &mut Robot) -> Vec<u32> {
+        let mut walk = Walk::new(other_card().sha256);
+        let mut shown = Vec::new();
+        while !walk.is_over() {
+            let Some(exhibit) = robot.recogniser.walk_on(&mut walk) else { continue };
+            let look = usize::from(exhibit.thumbnail_jpeg[0]) + 1;
+            let descriptor = (&appearance(look)).into();
+            shown.push(exhibit.keyframe.0);
+            robot.recogniser.renew(exhibit.keyframe, Appearance { model: other_card().sha256, descriptor });
+        }
+        shown
+    }
+
+    #[test]
+    fn a_model_that_takes_over_compares_with_its_own_descriptors_and_the_one_before_with_its_own_again() {
+        let mut robot = robot_with_thumbnails(in_memory());
+        assert_eq!(describe_anew(&mut robot), [0, 1, 2]);
+        assert_eq!(robot.see(9, 1).place, Some(PlaceId(1)), "nothing has changed yet");
+        assert_eq!(robot.recogniser.use_model(&other_card()), Some(3));
+        assert_eq!(robot.see(9, 1).place, Some(PlaceId(0)));
+        assert_eq!(robot.recogniser.use_model(&other_card()), None, "it is in use");
+        assert_eq!(robot.recogniser.use_model(&card()), Some(3));
+        assert_eq!(robot.see(9, 1).place, Some(PlaceId(1)));
+    }
+
+    #[test]
+    fn what_was_described_anew_is_in_the_map_once_its_model_has_proved_itself_and_not_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut robot = robot_with_thumbnails(opened(folder.path()));
+        describe_anew(&mut robot);
+        robot.recogniser.use_model(&other_card());
+        (0..9).for_each(|_| robot.recogniser.store_renewed());
+        assert_eq!(robot.recogniser.map().models().unwrap().0, [card().sha256]);
+        robot.recogniser.settle_model();
+        (0..9).for_each(|_| robot.recogniser.store_renewed());
+        assert_eq!(robot.recogniser.map().models().unwrap().0, [other_card().sha256]);
+        assert_eq!(robot.recogniser.renewals.memory_bytes(), 0);
+        assert!(robot.recogniser.take_map_failure().is_none());
+        drop(robot);
+        let mut robot = Robot::new(Some(other_card()), no_interval(), opened(folder.path()));
+        assert_eq!(robot.recogniser.foreign_descriptors(), 0);
+        assert_eq!(robot.see(9, 3).place, Some(PlaceId(2)));
+        assert!(describe_anew(&mut robot).is_empty(), "nothing is left to do");
+    }
+
+    #[test]
+    fn a_keyframe_that_was_described_before_its_model_came_back_needs_no_second_look() {
+        let folder = tempfile::tempdir().unwrap();
+        drop(robot_with_thumbnails(opened(folder.path())));
+        let mut robot = Robot::new(Some(other_card()), no_interval(), opened(folder.path()));
+        let mut walk = Walk::new(card().sha256);
+        while !walk.is_over() {
+            assert_eq!(robot.recogniser.walk_on(&mut walk), None);
+        }
+        assert_eq!(robot.recogniser.use_model(&card()), Some(3));
+        assert_eq!(robot.see(9, 2).place, Some(PlaceId(2)));
+    }
+
+    #[test]
+    fn memory_ends_the_walk_before_descriptors_take_more_than_their_share() {
+        let options = RecognitionOptions { memory_bytes: 8_000, ..no_interval() };
+        let mut robot = Robot::new(Some(card()), options, in_memory());
+        (0..15).for_each(|place| drop(robot.see(place, place as usize)));
+        let described = describe_anew(&mut robot).len();
+        assert!((3..10).contains(&described), "{described}");
+        assert!(robot.recogniser.renewals.memory_bytes() < 1_000);
+        robot.recogniser.forget_renewed(&other_card().sha256);
+        assert_eq!(robot.recogniser.renewals.memory_bytes(), 0);
     }
 
     #[test]

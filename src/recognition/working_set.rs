@@ -245,11 +245,11 @@ impl Recogniser {
     /// Bytes of memory that what is searched takes.
     #[must_use]
     pub fn index_bytes(&self) -> usize {
-        self.keyframes.memory_bytes() + self.appearances.memory_bytes()
+        self.keyframes.memory_bytes() + self.appearances.memory_bytes() + self.renewals.memory_bytes()
     }
 
     /// What it may take: what places and experiences leave of the budget.
-    fn budget_bytes(&self) -> usize {
+    pub(super) fn budget_bytes(&self) -> usize {
         let budget_bytes = self.options.memory_bytes;
         let least = (budget_bytes as f64 * LEAST_SHARE) as usize;
         budget_bytes.saturating_sub(self.map.memory_bytes()).max(least)

@@ -47,6 +47,8 @@ struct Line<'a> {
     candidates: Vec<CandidateLine>,
     #[serde(skip_serializing_if = "Option::is_none")]
     cnn: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    model: Option<&'a str>,
     latency_us: LatencyLine,
 }
 
@@ -91,6 +93,7 @@ impl<'a> From<&'a FrameRecord> for Line<'a> {
                 CnnStatus::Unavailable => Some("unavailable"),
                 CnnStatus::Failed => Some("failed"),
             },
+            model: record.model.as_deref(),
             latency_us: LatencyLine::from(record.latency),
         }
     }
@@ -185,7 +188,7 @@ mod tests {
         };
         let cnn = CnnStatus::Available;
         let (frame, look) = (Arc::new(frame), Arc::new(Look::default()));
-        FrameRecord { frame, look, recognition, matched: None, cnn, latency }
+        FrameRecord { frame, look, recognition, matched: None, cnn, model: None, latency }
     }
 
     fn line(record: &FrameRecord) -> String {
@@ -211,6 +214,12 @@ mod tests {
     fn a_missing_cnn_is_said_in_every_record() {
         let without = FrameRecord { cnn: CnnStatus::Unavailable, ..record() };
         assert!(line(&without).contains(r#""cnn":"unavailable""#));
+    }
+
+    #[test]
+    fn another_model_is_said_in_the_first_record_that_it_has_part_in() {
+        let changed = FrameRecord { model: Some("ab12".to_owned()), ..record() };
+        assert!(line(&changed).contains(r#""model":"ab12","latency_us""#));
     }
 
     #[test]

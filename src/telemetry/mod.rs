@@ -28,6 +28,8 @@ pub struct FrameRecord {
     pub matched: Option<MatchedKeyframe>,
     /// Whether the CNN took part.
     pub cnn: CnnStatus,
+    /// Hash of the CNN's model, if it is another one from this frame on.
+    pub model: Option<String>,
     /// How long each stage took.
     pub latency: StageLatency,
 }
@@ -72,7 +74,8 @@ pub struct StageLatency {
     /// Verifying them.
     pub verification_us: u64,
     /// The longest way through: decoding, then features or CNN, whichever takes longer, then the
-    /// decision with its storing. Waiting in queues is left out.
+    /// decision with its storing, and a few keyframes described anew where a model is replaced. Waiting in queues is
+    /// left out.
     pub total_us: u64,
 }
 

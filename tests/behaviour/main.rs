@@ -7,6 +7,8 @@ mod evaluate;
 mod map_care;
 mod map_merge;
 mod misfortune;
+#[cfg(feature = "cnn")]
+mod model_swap;
 mod program;
 mod real_sequences;
 mod stream;

@@ -192,7 +192,7 @@ fn recognisers(arguments: &MergeArguments, settings: &StreamSettings) -> anyhow:
     };
     let both = [over(&arguments.a)?, over(&arguments.b)?];
     let foreign = both.iter().map(Recogniser::foreign_descriptors).sum();
-    stream::report_foreign_descriptors(foreign, card.as_ref());
+    stream::report_foreign_descriptors(foreign, card.as_ref(), "");
     Ok(both)
 }
 

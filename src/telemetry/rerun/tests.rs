@@ -72,6 +72,7 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
         recognition,
         matched: None,
         cnn: CnnStatus::Available,
+        model: None,
         latency: StageLatency { total_us: 2600, ..StageLatency::default() },
     }
 }
