@@ -51,7 +51,7 @@ impl TrainedModel {
             training: TrainingCard {
                 data: format!(
                     "{} images of {} places that BoW+HV and the CNN founded without labels; the best epoch chosen and \
-                     the calibration fitted on {} later ones. {}",
+                     the calibration fitted on {} later ones, copies in other light included. {}",
                     descriptors.learnt.len(),
                     clusters.classes.len(),
                     descriptors.checked.len(),

@@ -17,8 +17,8 @@ use loci::onnx::OnnxModel;
 use loci::place_map::PlaceMap;
 use loci::raster::RgbImage;
 use loci::training::{
-    Augmentation, Checkpoint, ClusterRules, Clusters, Device, Epoch, Gathered, Head, Labelled, PaperCnn,
-    Picture, Pictures, TrainingError, TrainingReport, Variation, described, varied,
+    Augmentation, Checkpoint, ClusterRules, Clusters, Describe, Device, Epoch, Gathered, Head, Labelled,
+    PaperCnn, Picture, Pictures, TrainingError, TrainingReport, Variation, described, varied,
 };
 
 use self::arguments::Architecture;
@@ -141,11 +141,11 @@ impl<'a> Trainer<'a> {
         let mut backbone = self.open(&self.backbone)?;
         let is_current = fs::canonicalize(&self.backbone)? == fs::canonicalize(&self.model)?;
         let features = if is_current { current.clone() } else { self.gathered(pictures, &mut backbone)? };
-        // Other draws for what is only looked at.
-        let seed = self.arguments.seed;
-        let learnt = self.varied((pictures, &pictures.learnt), &mut backbone, seed)?;
-        let checked = self.varied((pictures, &pictures.checked), &mut backbone, !seed)?;
-        let vectors = (&features.learnt.and(&learnt), &features.checked.and(&checked));
+        let dimensions = backbone.dimensions();
+        let mut describe = |image: &RgbImage| described(&mut backbone, image);
+        let how = (dimensions, self.arguments.seed);
+        let varied = self.varied((pictures, &pictures.learnt), how, &mut describe)?;
+        let vectors = (&features.learnt.and(&varied), &features.checked);
         let options = self.arguments.fit_options();
         let checkpoint = self.checkpoint(&(&options, backbone.card()), pictures)?;
         let head = self.progress.epochs(options.epochs, &checkpoint, |show| {
@@ -170,9 +170,7 @@ impl<'a> Trainer<'a> {
             PaperCnn::train(pictures, classes, &options, (&Device::flex(), Some(&checkpoint)), show)
         })?;
         let mut describe = |image: &RgbImage| cnn.describe(image).map(Some);
-        let descriptors = self.progress.images(pictures.len(), "images", |show| {
-            Gathered::of(pictures, options.dimensions, &mut describe, show)
-        })?;
+        let descriptors = self.gathered_by(pictures, options.dimensions, &mut describe)?;
         let (network, card) = cnn.to_onnx()?;
         Ok((Candidate { network, card, descriptors }, cnn.head.epochs))
     }
@@ -180,27 +178,37 @@ impl<'a> Trainer<'a> {
     /// What `model` says of all images.
     fn gathered(&self, pictures: &Pictures<'_>, model: &mut DescriptorModel) -> anyhow::Result<Gathered> {
         let dimensions = model.dimensions();
-        let mut describe = |image: &RgbImage| described(model, image);
-        let gathered = self.progress.images(pictures.len(), "images", |show| {
-            Gathered::of(pictures, dimensions, &mut describe, show)
-        })?;
-        Ok(gathered)
+        Ok(self.gathered_by(pictures, dimensions, &mut |image| described(model, image))?)
     }
 
-    /// What `model` says of varied copies of `part` of `pictures`.
+    /// What `describe` says of all images. What training only looks at is varied, too: the best epoch and the threshold
+    /// are to be those for other light.
+    fn gathered_by(
+        &self,
+        pictures: &Pictures<'_>,
+        dimensions: usize,
+        describe: &mut Describe<'_>,
+    ) -> Result<Gathered, TrainingError> {
+        let gathered = self
+            .progress
+            .images(pictures.len(), "images", |show| Gathered::of(pictures, dimensions, describe, show))?;
+        // Other draws than for what is learnt.
+        let how = (dimensions, !self.arguments.seed);
+        let varied = self.varied((pictures, &pictures.checked), how, describe)?;
+        Ok(Gathered { checked: gathered.checked.and(&varied), ..gathered })
+    }
+
+    /// What `describe` says of varied copies of `part` of `pictures`.
     fn varied(
         &self,
         (pictures, part): (&Pictures<'_>, &[Picture]),
-        model: &mut DescriptorModel,
-        seed: u64,
-    ) -> anyhow::Result<Labelled> {
-        let (dimensions, copies) = (model.dimensions(), self.arguments.augment);
-        let mut describe = |image: &RgbImage| described(model, image);
-        let how = (&self.variation, copies, seed);
-        let labelled = self.progress.images(copies * part.len(), "copies", |show| {
-            varied((pictures, part), dimensions, how, &mut describe, show)
-        })?;
-        Ok(labelled)
+        (dimensions, seed): (usize, u64),
+        describe: &mut Describe<'_>,
+    ) -> Result<Labelled, TrainingError> {
+        let copies = self.arguments.augment;
+        self.progress.images(copies * part.len(), "copies", |show| {
+            varied((pictures, part), dimensions, (&self.variation, copies, seed), describe, show)
+        })
     }
 
     /// Where this training keeps what it has come to; one of another training, `how` or on what, is not gone on with.
