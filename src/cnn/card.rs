@@ -106,8 +106,8 @@ pub struct ClassCard {
     /// Its name then, if it had one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Difference hashes of some of its experiences, 16 hexadecimal digits each: by them it is found in a map in which
-    /// its number is another one.
+    /// Difference hashes of some of its experiences, 16 hexadecimal digits each: by them it can be found in a map in
+    /// which its number is another one.
     pub views: Vec<String>,
 }
 

@@ -22,7 +22,7 @@ use super::fitting::{self, Epoch, Fitted, Lesson};
 use super::labelled::Glance;
 use crate::storage::{FileBytes, FileKind, HEADER_BYTES, replace_file};
 
-const KIND: FileKind = FileKind { magic: *b"LOCITRN\0", version: 1, name: "training checkpoint" };
+const KIND: FileKind = FileKind { magic: *b"LOCICKP\0", version: 1, name: "training checkpoint" };
 
 /// Where a training has come to.
 pub(super) struct State<N> {

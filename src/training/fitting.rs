@@ -150,10 +150,11 @@ pub(super) fn fit<L: Lesson>(
         // A stream of its own for each epoch: one that goes on draws what one that never stopped would.
         let mut random = Pcg64::new(u128::from(options.seed), number as u128);
         let loss = run_epoch(lesson, &mut state, options, &mut random)?;
-        if !loss.is_finite() {
+        let glance = lesson.glance(&state.network)?;
+        // The last step may have broken what every loss was still computed with.
+        if !loss.is_finite() || !glance.loss.is_finite() {
             return Err(TrainingError::NotFinite { epoch: number });
         }
-        let glance = lesson.glance(&state.network)?;
         let best = &mut state.best;
         if glance.is_better_than(&best.glance) {
             (best.network, best.epoch, best.glance) = (state.network.clone(), number, glance);

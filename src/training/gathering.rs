@@ -54,6 +54,12 @@ impl Gathered {
         })
     }
 
+    /// The same, with what training looks at in the place of what nobody has seen.
+    #[must_use]
+    pub fn checked_as_held_out(&self) -> Self {
+        Self { held_out: self.checked.clone(), ..self.clone() }
+    }
+
     /// All vectors times `matrix`, `[width, columns]`.
     #[must_use]
     pub fn projected(&self, matrix: &[f32]) -> Self {

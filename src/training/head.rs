@@ -155,7 +155,8 @@ impl Lesson for FeatureLesson<'_> {
 
     fn glance(&self, network: &HeadNetwork) -> Result<Glance, TrainingError> {
         let (projection, classes) = network.matrices()?;
-        Ok(self.checked.projected(&projection).glance(&classes, self.scale))
+        let projected = self.checked.projected(&projection);
+        Ok(projected.glance(&classes, self.scale).of_all((projected.len(), self.checked.len())))
     }
 }
 
@@ -278,6 +279,11 @@ mod tests {
         let wild = FitOptions { learning_rate: f64::INFINITY, ..options() };
         let failed = train_until(&wild, Some(&checkpoint), usize::MAX).unwrap_err().to_string();
         assert_eq!(failed, "the loss of epoch 3 is not finite; what the epochs before came to is kept");
+        assert_eq!(checkpoint.epochs(), 2);
+        // The last step of an epoch, after which no loss is computed: one batch holds everything.
+        let whole = FitOptions { batch: 10_000, ..wild };
+        let failed = train_until(&whole, Some(&checkpoint), usize::MAX).unwrap_err().to_string();
+        assert!(failed.starts_with("the loss of epoch 3 is not finite"), "{failed}");
         assert_eq!(checkpoint.epochs(), 2);
     }
 

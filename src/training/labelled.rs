@@ -20,6 +20,15 @@ pub(super) struct Glance {
 }
 
 impl Glance {
+    /// Of `asked` vectors, of which the others have no direction any more: those are not recognised, and of none of
+    /// them is sure what they are.
+    pub(super) fn of_all(self, (seen, asked): (usize, usize)) -> Self {
+        if seen >= asked {
+            return self;
+        }
+        Self { recall: self.recall * seen as f64 / asked as f64, loss: f64::INFINITY }
+    }
+
     /// Whether more is recognised; where it is as much, whether more surely.
     pub(super) fn is_better_than(&self, other: &Self) -> bool {
         self.recall > other.recall || self.recall == other.recall && self.loss < other.loss

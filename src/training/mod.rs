@@ -37,7 +37,7 @@ pub use head::Head;
 pub use labelled::Labelled;
 pub use paper::{Filters, PaperCnn, PaperOptions};
 pub use pictures::{Picture, Pictures};
-pub use quantisation::{Agreement, agreement, quantise};
+pub use quantisation::{Agreement, agreement, in_all_light, quantise};
 pub use report::TrainingReport;
 pub use standing::Standing;
 pub use trained_model::TrainedModel;

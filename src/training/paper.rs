@@ -345,7 +345,9 @@ impl Lesson for PictureLesson<'_> {
                 features.push(vector, picture.class);
             }
         }
-        Ok(features.projected(&projection).glance(&directions, self.options.fit.loss.scale()))
+        let projected = features.projected(&projection);
+        let glance = projected.glance(&directions, self.options.fit.loss.scale());
+        Ok(glance.of_all((projected.len(), features.len())))
     }
 }
 

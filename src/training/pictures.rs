@@ -9,6 +9,7 @@ use super::error::TrainingError;
 use crate::place_map::{ExperienceId, MapError, PlaceMap};
 use crate::raster::RgbImage;
 use crate::source;
+use crate::storage;
 
 /// Share of what is learnt that training only looks at, to choose the best epoch: the latest of each class.
 const CHECKED_SHARE: f64 = 0.2;
@@ -21,6 +22,8 @@ pub struct Picture {
     /// Which of the maps it is in.
     map: usize,
     experience: ExperienceId,
+    /// Of its JPEG: what tells it from an image of the same number in another map.
+    checksum: u32,
 }
 
 /// The images of all classes.
@@ -77,10 +80,12 @@ impl<'a> Pictures<'a> {
     ) -> Result<Vec<Picture>, TrainingError> {
         let mut readable = Vec::new();
         for sample in samples {
-            let picture = Picture { class, map, experience: sample.experience };
-            match self.image(picture)? {
-                Some(_) => readable.push(picture),
-                None => self.skipped += 1,
+            let jpeg = self.jpeg(map, sample.experience)?;
+            if source::decode(&jpeg, "thumbnail").is_ok() {
+                let checksum = storage::checksum(&jpeg);
+                readable.push(Picture { class, map, experience: sample.experience, checksum });
+            } else {
+                self.skipped += 1;
             }
             if progress().is_break() {
                 return Err(TrainingError::Interrupted);
@@ -106,10 +111,15 @@ impl<'a> Pictures<'a> {
     /// # Errors
     /// If the medium fails.
     pub fn image(&self, picture: Picture) -> Result<Option<RgbImage>, TrainingError> {
-        match self.maps[picture.map].thumbnail_jpeg(picture.experience) {
-            Ok(jpeg) => Ok(source::decode(&jpeg, "thumbnail").ok()),
-            Err(MapError::Storage(error)) if error.is_damage() => Ok(None),
-            Err(error) => Err(error.into()),
+        let jpeg = self.jpeg(picture.map, picture.experience)?;
+        Ok(source::decode(&jpeg, "thumbnail").ok())
+    }
+
+    /// The bytes of an experience's thumbnail; none if they cannot be read.
+    fn jpeg(&self, map: usize, experience: ExperienceId) -> Result<Vec<u8>, TrainingError> {
+        match self.maps[map].thumbnail_jpeg(experience) {
+            Err(MapError::Storage(error)) if error.is_damage() => Ok(Vec::new()),
+            jpeg => Ok(jpeg?),
         }
     }
 }

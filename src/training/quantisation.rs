@@ -1,6 +1,10 @@
 //! A trained network in 8 bits: its ranges measured on images of the place, and how far it agrees with itself in f32.
 
+use rand_pcg::Pcg64;
+
 use super::error::TrainingError;
+use super::pictures::Pictures;
+use super::variation::Variation;
 use crate::cnn::{CnnError, Descriptor, DescriptorModel, ModelCard, Observer, OnnxRuntime};
 use crate::onnx::{OnnxModel, Range, Ranges};
 use crate::raster::RgbImage;
@@ -28,6 +32,21 @@ pub fn quantise(
         return Err(TrainingError::NoImages);
     }
     Ok(network.quantised(&ranges(&names, &seen))?)
+}
+
+/// Some `count` images that are learnt, from all over the map; every second one in other light, settled by `seed`.
+pub fn in_all_light<'a>(
+    (pictures, variation): (&'a Pictures<'a>, &'a Variation),
+    count: usize,
+    seed: u64,
+) -> impl Iterator<Item = Result<RgbImage, TrainingError>> + 'a {
+    let step = pictures.learnt.len().div_ceil(count.max(1)).max(1);
+    let mut random = Pcg64::new(u128::from(seed), u128::MAX);
+    pictures.learnt.iter().step_by(step).enumerate().filter_map(move |(number, &picture)| {
+        let image = pictures.image(picture).transpose()?;
+        let vary = |image: RgbImage| variation.vary(&image, &mut random);
+        Some(if number % 2 == 1 { image.and_then(vary) } else { image })
+    })
 }
 
 /// The range of each activation: the least of the least and the greatest of the greatest values of all images.

@@ -57,11 +57,11 @@ impl TrainingReport<'_> {
 
     fn verdict(&self) -> String {
         if self.model.is_accepted() {
-            "<p class=\"verdict\">It recognises at least as much of what was held out as the model that it is to take \
-             the place of: accepted.</p>\n"
+            "<p class=\"verdict\">It does as well on what was held out as the model that it is to take the place of: \
+             accepted.</p>\n"
                 .to_owned()
         } else {
-            "<p class=\"verdict refused\">It recognises less of what was held out than the model that it is to take \
+            "<p class=\"verdict refused\">It does not do as well on what was held out as the model that it is to take \
              the place of: kept aside, unless it was taken all the same.</p>\n"
                 .to_owned()
         }
@@ -82,7 +82,7 @@ impl TrainingReport<'_> {
         format!(
             "<h2>What was held out</h2>\n<table>\n<tr><th>{} images</th><th>recall (95 %)</th><th>precision</th>\
              <th>R@1</th><th>threshold</th></tr>\n{}{}</table>\n\
-             <p>The latest fifth of every place, which no training saw. An image is recognised if the nearest one that \
+             <p>At least the latest fifth of every place, which no training saw. An image is recognised if the nearest one that \
              was learnt is of its place, and its cosine above the threshold; that lets one in two hundred images of \
              other places pass among those that training only looked at. Places next to each other are neither right \
              nor wrong for each other.</p>\n",
@@ -102,9 +102,8 @@ impl TrainingReport<'_> {
         let loss = plot(("epoch", "loss"), &points(&|epoch| epoch.loss), false);
         let recall = plot(("epoch", "recall"), &points(&|epoch| epoch.recall), false);
         format!(
-            "<h2>Epochs</h2>\n{loss}{recall}<p>Recall is the share of {} images that training only looked at whose own \
-             place is the nearest; the best epoch is kept.</p>\n",
-            self.pictures.checked.len()
+            "<h2>Epochs</h2>\n{loss}{recall}<p>Recall is the share of what training only looked at, copies in other \
+             light included, whose own place is the nearest; the best epoch is kept.</p>\n"
         )
     }
 
@@ -169,7 +168,10 @@ fn draw(
         .x_label_area_size(46)
         .y_label_area_size(60)
         .build_cartesian_2d(first..last + step, 0.0..highest * 1.05)?;
-    chart.configure_mesh().light_line_style(TRANSPARENT).x_desc(x).y_desc(y).draw()?;
+    let (whole, decimal) = (|value: &f64| format!("{value:.0}"), |value: &f64| format!("{value:.2}"));
+    let mut mesh = chart.configure_mesh();
+    mesh.light_line_style(TRANSPARENT).x_desc(x).y_desc(y).x_label_formatter(&whole);
+    mesh.y_label_formatter(&decimal).draw()?;
     if as_bars {
         let bar = |&(at, height): &(f64, f64)| {
             Rectangle::new([(at, 0.0), (at + 0.9 * step, height)], LINE.filled())

@@ -9,6 +9,10 @@ use crate::onnx::OnnxModel;
 /// Experiences by which a class is found in another map.
 const MOST_VIEWS: usize = 8;
 
+/// Where there was too little to fit a threshold on.
+const NOTHING_RECOGNISED: DecisionCard =
+    DecisionCard { recognise_above: 1.0, calibration_slope: 0.0, calibration_offset: 0.0 };
+
 /// A network and what is to be known of it.
 #[derive(Clone, Debug)]
 pub struct TrainedModel {
@@ -47,7 +51,7 @@ impl TrainedModel {
         });
         let metrics = [("held_out", described(&standing)), ("held_out_before", described(&current))];
         let card = ModelCard {
-            decision: decision.unwrap_or_else(|| card.decision.clone()),
+            decision: decision.unwrap_or(NOTHING_RECOGNISED),
             training: TrainingCard {
                 data: format!(
                     "{} images of {} places that BoW+HV and the CNN founded without labels; the best epoch chosen and \
@@ -66,11 +70,13 @@ impl TrainedModel {
         Self { network, card, standing, current }
     }
 
-    /// Whether the model recognises something of what was held out, and at least as much as the one that it is to take
-    /// the place of.
+    /// Whether the model does as well on what was held out as the one that it is to take the place of: it recognises as
+    /// much, what it mistakes taken off, and more than it mistakes.
     #[must_use]
     pub fn is_accepted(&self) -> bool {
-        self.standing.recognised > 0 && self.standing.recognised >= self.current.recognised
+        let balance = |standing: &Standing| standing.recognised as i64 - standing.mistaken as i64;
+        let (own, before) = (balance(&self.standing), balance(&self.current));
+        own > 0 && own >= before && self.standing.recognised >= self.current.recognised
     }
 }
 
@@ -225,10 +231,16 @@ mod tests {
     #[test]
     fn a_model_that_recognises_nothing_is_not_accepted_even_where_the_one_before_does_neither() {
         let (_, model, _) = trained();
-        let nothing = Standing { recognised: 0, ..model.standing };
+        let nothing = Standing { recognised: 0, mistaken: 0, ..model.standing };
         let blind = TrainedModel { standing: nothing, current: nothing, ..model.clone() };
         assert!(!blind.is_accepted());
-        let as_good = TrainedModel { current: model.standing, ..model };
+        let as_good = TrainedModel { current: model.standing, ..model.clone() };
         assert!(as_good.standing.recognised > 0 && as_good.is_accepted());
+        // Neither where it is wrong more often than right, nor where it is wrong more often than the one before.
+        let wild = Standing { recognised: 3, mistaken: 4, ..nothing };
+        assert!(!TrainedModel { standing: wild, current: wild, ..model.clone() }.is_accepted());
+        let surer = Standing { recognised: 20, mistaken: 1, ..nothing };
+        let bolder = Standing { recognised: 22, mistaken: 5, ..nothing };
+        assert!(!TrainedModel { standing: bolder, current: surer, ..model }.is_accepted());
     }
 }

@@ -45,6 +45,24 @@ fn a_model_is_trained_from_the_places_of_a_map_and_used_like_any_other() {
     let by_cnn = again.records().iter().filter(|record| record["by"] == "cnn").count();
     assert!(by_cnn > 0, "{}", again.stdout);
     train(&[]).assert_failed(2, &["site is there already; choose another --out"]);
+    // What another training has come to is not gone on with, nor lost.
+    let (third, kept) = (folder.path().join("third"), folder.path().join("third.checkpoint"));
+    fs::write(&kept, "of another training").unwrap();
+    let refused = loci(&["train", text(&map), "--out", text(&third), "--min-samples", "8", "--augment", "0"]);
+    refused.assert_failed(2, &["third.checkpoint is of another training, or damaged; remove it"]);
+    assert_eq!(fs::read_to_string(&kept).unwrap(), "of another training");
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_before_an_image_is_looked_at() {
+    let folder = tempfile::tempdir().unwrap();
+    let (map, out) = ("tests/data/map/version_2", folder.path().join("site"));
+    let train = |more: &[&str]| loci(&[&["train", map, "--out", text(&out)], more].concat());
+    train(&[map]).assert_failed(2, &["version_2 is named twice"]);
+    for more in [["--dimensions", "8193"], ["--dimensions", "0"], ["--augment", "101"], ["--epochs", "0"]] {
+        assert_eq!(train(&more).code, 2, "{more:?}");
+    }
+    assert!(!out.exists());
 }
 
 #[test]

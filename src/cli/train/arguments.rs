@@ -3,7 +3,7 @@
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::{Args, ValueEnum, value_parser};
 use loci::training::{FitOptions, Loss, PaperOptions};
 use serde::Serialize;
 
@@ -12,8 +12,8 @@ use serde::Serialize;
 #[command(after_help = "Examples:\n  loci train maps/site --out models/site\n  \
     loci train maps/hall maps/yard --out models/site2 --min-samples 30 --epochs 50\n  \
     loci train maps/site --architecture paper --out models/site-paper\n\n\
-    The places of the maps are the classes. The latest fifth of every place is held out: a model that recognises less \
-    of it than the one that it is to take the place of is kept aside, in OUT.rejected. The exit code is 3 then, and \
+    The places of the maps are the classes. At least the latest fifth of every place is held out: a model that \
+    does not do as well on it as the one that it is to take the place of is kept aside, in OUT.rejected. The exit code is 3 then, and \
     where something could not be read. A training that is interrupted goes on with the same command. Places of several \
     maps are told apart: merge maps of one site first.")]
 pub(in crate::cli) struct TrainArguments {
@@ -38,9 +38,9 @@ pub(in crate::cli) struct TrainArguments {
     /// Fewest experiences of a place that is learnt
     #[arg(long, value_name = "N", default_value = "20")]
     pub(super) min_samples: NonZeroUsize,
-    /// Values of the descriptor
-    #[arg(long, value_name = "N", default_value = "256")]
-    dimensions: NonZeroUsize,
+    /// Values of the descriptor, at most 8192
+    #[arg(long, value_name = "N", default_value = "256", value_parser = value_parser!(u16).range(1..=8192))]
+    dimensions: u16,
     /// Times that every place is gone through [default: 30 of a trunk, 15 of the paper's]
     #[arg(long, value_name = "N")]
     epochs: Option<NonZeroUsize>,
@@ -49,8 +49,8 @@ pub(in crate::cli) struct TrainArguments {
     loss: LossName,
     /// Copies of every image in other light, weather and view, for a trunk; the paper's CNN sees another one each
     /// time; 0 for none
-    #[arg(long, value_name = "N", default_value = "2")]
-    pub(super) augment: usize,
+    #[arg(long, value_name = "N", default_value = "2", value_parser = value_parser!(u16).range(0..=100))]
+    augment: u16,
     /// An ONNX network that makes an image of an image, such as a GAN's generator: half of the copies go through it
     #[arg(long, value_name = "FILE")]
     pub(super) augment_model: Option<PathBuf>,
@@ -60,7 +60,7 @@ pub(in crate::cli) struct TrainArguments {
     /// Settles every draw
     #[arg(long, value_name = "N", default_value = "0")]
     pub(super) seed: u64,
-    /// Take the model even where it recognises less than the one that it is to take the place of
+    /// Take the model even where it does not do as well as the one that it is to take the place of
     #[arg(long)]
     pub(super) accept: bool,
     /// Print JSON
@@ -109,7 +109,12 @@ enum LossName {
 
 impl TrainArguments {
     pub(super) fn dimensions(&self) -> usize {
-        self.dimensions.get()
+        self.dimensions.into()
+    }
+
+    /// Copies of every image.
+    pub(super) fn copies(&self) -> usize {
+        self.augment.into()
     }
 
     /// How a head is trained.

@@ -6,6 +6,7 @@ mod progress;
 mod report;
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
@@ -40,6 +41,7 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
             return Err(WrongArgument(format!("{path} is there already; choose another --out")).into());
         }
     }
+    refuse_same_maps(&arguments.maps)?;
     let stop = stream::stop_flag()?;
     let maps = arguments.maps.iter().map(|folder| PlaceMap::open_read_only(folder));
     let maps = maps.collect::<Result<Vec<_>, _>>()?;
@@ -59,7 +61,8 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let pictures =
         trainer.progress.images(images, "images", |show| Pictures::of(&maps, &mut clusters, show))?;
     let current = trainer.gathered(&pictures, &mut trainer.open(&trainer.model)?)?;
-    let (candidate, epochs) = trainer.train(&pictures, (&clusters, &current))?;
+    let (candidate, epochs) =
+        trainer.train(&pictures, (&clusters, &current)).map_err(|error| trainer.with_what_is_kept(error))?;
     let (mut model, precision) = trainer.in_precision(candidate, (&pictures, &clusters), &current)?;
     model.card.name = name_of(&out);
     let is_accepted = model.is_accepted() || arguments.accept;
@@ -76,8 +79,12 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
         eprintln!("loci: skipped: {}, for they cannot be read", counted(skipped as u64, "image"));
     }
     if !model.is_accepted() {
-        let advice = if arguments.accept { "taken all the same" } else { "kept aside; --accept takes it" };
-        eprintln!("loci: the model recognises less of what was held out than the one before: {advice}");
+        let (aside, out) = (aside.display(), out.display());
+        let advice = match arguments.accept {
+            true => "taken all the same".to_owned(),
+            false => format!("kept aside; `mv {aside} {out}` takes it all the same"),
+        };
+        eprintln!("loci: the model does not do as well on what was held out as the one before: {advice}");
     }
     Ok(if is_accepted && skipped == 0 && !has_lost { Outcome::Done } else { Outcome::Lost })
 }
@@ -98,14 +105,20 @@ struct Trainer<'a> {
 impl<'a> Trainer<'a> {
     fn new(arguments: &'a TrainArguments, out: &Path, stop: &'a AtomicBool) -> anyhow::Result<Self> {
         let runtime = OnnxRuntime::open(arguments.onnxruntime.as_deref())?;
+        let checkpoint_path = with_ending(out, ".checkpoint");
+        // Before any image is looked at.
+        if let Some(parent) = out.parent() {
+            fs::create_dir_all(parent)?;
+        }
+        loci::storage::check_replaceable(&checkpoint_path)?;
         let generator = match &arguments.augment_model {
-            Some(_) if arguments.augment == 0 => {
+            Some(_) if arguments.copies() == 0 => {
                 return Err(WrongArgument("--augment-model makes nothing of --augment 0".to_owned()).into());
             }
             Some(path) => Some(RefCell::new(ImageGenerator::open(path, &runtime, 2)?)),
             None => None,
         };
-        let augmentation = (arguments.augment > 0).then(Augmentation::default);
+        let augmentation = (arguments.copies() > 0).then(Augmentation::default);
         Ok(Self {
             arguments,
             backbone: assets::find(arguments.backbone.as_deref(), assets::MODEL, "--backbone")?,
@@ -113,7 +126,7 @@ impl<'a> Trainer<'a> {
             runtime,
             variation: Variation { augmentation, generator },
             progress: Progress::new(stop),
-            checkpoint_path: with_ending(out, ".checkpoint"),
+            checkpoint_path,
         })
     }
 
@@ -205,7 +218,7 @@ impl<'a> Trainer<'a> {
         (dimensions, seed): (usize, u64),
         describe: &mut Describe<'_>,
     ) -> Result<Labelled, TrainingError> {
-        let copies = self.arguments.augment;
+        let copies = self.arguments.copies();
         self.progress.images(copies * part.len(), "copies", |show| {
             varied((pictures, part), dimensions, (&self.variation, copies, seed), describe, show)
         })
@@ -213,14 +226,18 @@ impl<'a> Trainer<'a> {
 
     /// Where this training keeps what it has come to; one of another training, `how` or on what, is not gone on with.
     fn checkpoint(&self, how: &dyn Debug, pictures: &Pictures<'_>) -> anyhow::Result<Checkpoint> {
-        let TrainArguments { architecture, augment, augment_model, .. } = self.arguments;
-        let arguments = (architecture, self.arguments.dimensions(), augment, augment_model);
+        let TrainArguments { architecture, augment_model, .. } = self.arguments;
+        let generator = augment_model.as_ref().map(fs::read).transpose()?;
+        let generator = generator.map(|bytes| loci::storage::checksum(&bytes));
+        let arguments = (architecture, self.arguments.dimensions(), self.arguments.copies(), generator);
         let what = format!("{arguments:?} {how:?} {:?} {:?}", pictures.learnt, pictures.checked);
         let checkpoint = Checkpoint::new(&self.checkpoint_path, &what);
         match checkpoint.epochs() {
             0 if self.checkpoint_path.exists() => {
                 let path = self.checkpoint_path.display();
-                eprintln!("loci: {path} is of another training, or damaged; this one begins anew");
+                let reason =
+                    format!("{path} is of another training, or damaged; remove it or choose another --out");
+                return Err(WrongArgument(reason).into());
             }
             0 => {}
             epochs => {
@@ -231,6 +248,16 @@ impl<'a> Trainer<'a> {
         Ok(checkpoint)
     }
 
+    /// Says how an interrupted training goes on.
+    fn with_what_is_kept(&self, error: anyhow::Error) -> anyhow::Error {
+        let is_interrupted = matches!(error.downcast_ref(), Some(TrainingError::Interrupted));
+        if is_interrupted && self.checkpoint_path.exists() {
+            let path = self.checkpoint_path.display();
+            return anyhow::anyhow!("interrupted; the same command goes on with what is in {path}");
+        }
+        error
+    }
+
     /// The training is done.
     fn forget_checkpoint(&self) -> anyhow::Result<()> {
         match fs::remove_file(&self.checkpoint_path) {
@@ -239,6 +266,15 @@ impl<'a> Trainer<'a> {
             }
             _ => Ok(()),
         }
+    }
+}
+
+/// Each map once: its places would be told apart from themselves.
+fn refuse_same_maps(maps: &[PathBuf]) -> Result<(), WrongArgument> {
+    let mut known = BTreeSet::new();
+    match maps.iter().find(|map| !known.insert(fs::canonicalize(map).unwrap_or_else(|_| map.to_path_buf()))) {
+        Some(map) => Err(WrongArgument(format!("{} is named twice", map.display()))),
+        None => Ok(()),
     }
 }
 

@@ -3,7 +3,8 @@
 use loci::cnn::{DescriptorModel, ModelCard};
 use loci::onnx::{OnnxError, OnnxModel};
 use loci::training::{
-    Agreement, Clusters, Gathered, Pictures, TrainedModel, TrainingError, agreement, quantise,
+    Agreement, Clusters, Gathered, Pictures, Standing, TrainedModel, TrainingError, agreement, in_all_light,
+    quantise,
 };
 
 use super::Trainer;
@@ -45,9 +46,16 @@ impl Trainer<'_> {
             }
             Err(error) => return Err(error),
         };
-        let (mut int8, f32) = (int8.judged(clusters, current), candidate.judged(clusters, current));
-        if wanted == Precision::Auto && int8.standing.recall() < f32.standing.recall_interval().0 {
-            return Ok((f32, Precision::F32));
+        // By what training may look at: what is held out chooses nothing.
+        let recognises_as_much = {
+            let of = |candidate: &Candidate| {
+                Standing::of(&candidate.descriptors.checked_as_held_out(), |a, b| a == b)
+            };
+            of(&int8).recall() >= of(&candidate).recall_interval().0
+        };
+        let mut int8 = int8.judged(clusters, current);
+        if wanted == Precision::Auto && !(recognises_as_much && int8.is_accepted()) {
+            return Ok((candidate.judged(clusters, current), Precision::F32));
         }
         let Agreement { images, mean_cosine, worst_cosine } = agreed;
         let figures = format!("n {images}: cosine to f32 {mean_cosine:.3}, the worst {worst_cosine:.3}");
@@ -62,8 +70,7 @@ impl Trainer<'_> {
         pictures: &Pictures<'_>,
     ) -> anyhow::Result<(Candidate, Agreement)> {
         let Candidate { network, card, .. } = candidate;
-        let step = pictures.learnt.len().div_ceil(RANGE_IMAGES).max(1);
-        let images = pictures.learnt.iter().step_by(step).filter_map(|&at| pictures.image(at).transpose());
+        let images = in_all_light((pictures, &self.variation), RANGE_IMAGES, self.arguments.seed);
         let int8 = quantise(network, card, &self.runtime, images)?;
         let open =
             |network: &OnnxModel| DescriptorModel::from_onnx(card, &network.to_bytes(), &self.runtime, 2);
@@ -76,7 +83,8 @@ impl Trainer<'_> {
     }
 }
 
-/// Whether the network itself stands in the way of 8 bits.
+/// Whether the network itself, or a lack of images, stands in the way of 8 bits.
 fn is_unfit(error: &anyhow::Error) -> bool {
-    matches!(error.downcast_ref(), Some(TrainingError::Onnx(OnnxError::NothingToQuantise)))
+    let unfit = error.downcast_ref::<TrainingError>();
+    matches!(unfit, Some(TrainingError::Onnx(OnnxError::NothingToQuantise) | TrainingError::NoImages))
 }
