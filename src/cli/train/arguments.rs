@@ -12,10 +12,10 @@ use serde::Serialize;
 #[command(after_help = "Examples:\n  loci train maps/site --out models/site\n  \
     loci train maps/hall maps/yard --out models/site2 --min-samples 30 --epochs 50\n  \
     loci train maps/site --architecture paper --out models/site-paper\n\n\
-    The places of the maps are the classes. At least the latest fifth of every place is held out: a model that \
-    does not do as well on it as the one that it is to take the place of is kept aside, in OUT.rejected. The exit code is 3 then, and \
-    where something could not be read. A training that is interrupted goes on with the same command. Places of several \
-    maps are told apart: merge maps of one site first.")]
+    The places of the maps are the classes. At least the latest fifth of every place is held out: a model that does \
+    not do as well on it as the one that it is to take the place of is kept aside, in OUT.rejected. The exit code is \
+    3 then, and where something could not be read. A training that is interrupted goes on with the same command. \
+    Places of several maps are told apart: merge maps of one site first.")]
 pub(in crate::cli) struct TrainArguments {
     /// Folders of maps
     #[arg(required = true, value_name = "MAP")]
