@@ -82,10 +82,10 @@ impl TrainingReport<'_> {
         format!(
             "<h2>What was held out</h2>\n<table>\n<tr><th>{} images</th><th>recall (95 %)</th><th>precision</th>\
              <th>R@1</th><th>threshold</th></tr>\n{}{}</table>\n\
-             <p>At least the latest fifth of every place, which no training saw. An image is recognised if the nearest one \
-             that was learnt is of its place, and its cosine above the threshold; that lets one in two hundred images of \
-             other places pass among those that training only looked at. Places next to each other are neither right \
-             nor wrong for each other.</p>\n",
+             <p>At least the latest fifth of every place, which no training saw. An image is recognised if the \
+             nearest one that was learnt is of its place, and its cosine above the threshold; that lets one in two \
+             hundred images of other places pass among those that training only looked at. Places next to each other \
+             are neither right nor wrong for each other.</p>\n",
             self.model.standing.asked,
             row("this model", &self.model.standing),
             row("the one before", &self.model.current)
