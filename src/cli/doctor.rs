@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use clap::Args;
-use loci::cnn::{DescriptorModel, OnnxRuntime};
+use loci::cnn::{CARD_FILE, DescriptorModel, ModelCard, OnnxRuntime};
 use loci::place_map::PlaceMap;
 use loci::raster::RgbImage;
 use loci::vocabulary::{Vocabulary, VocabularySet};
@@ -84,7 +84,7 @@ fn findings(settings: &StreamSettings) -> Vec<Finding> {
             findings.push(Finding { part: "onnx runtime", health, detail: error.to_string() });
         }
     }
-    findings.extend(settings.map.as_deref().map(|folder| Finding::of("map", map(folder))));
+    findings.extend(settings.map.as_deref().map(|folder| Finding::of("map", map(folder, settings))));
     findings.push(rerun());
     findings
 }
@@ -114,13 +114,24 @@ fn model(settings: &StreamSettings, runtime: &OnnxRuntime) -> anyhow::Result<Str
     Ok(format!("{} answers with {} values", model.card().name, descriptor.dimensions()))
 }
 
-fn map(folder: &Path) -> anyhow::Result<String> {
+fn map(folder: &Path, settings: &StreamSettings) -> anyhow::Result<String> {
     let map = PlaceMap::open_read_only(folder)?;
     if let Some(passed_over) = map.passed_over() {
         anyhow::bail!("{passed_over}; `loci map compact --repair` gives it up");
     }
     let summary = map.summary();
-    Ok(format!("{} places, {} experiences in {}", summary.places, summary.experiences, folder.display()))
+    let known = known_places(&map, settings).unwrap_or_default();
+    let (places, experiences, folder) = (summary.places, summary.experiences, folder.display());
+    Ok(format!("{places} places, {experiences} experiences in {folder}{known}"))
+}
+
+/// How many of the places that the model was trained on are in the map; nothing of a model that was trained on none.
+fn known_places(map: &PlaceMap, settings: &StreamSettings) -> Option<String> {
+    let folder = assets::find(settings.model.as_deref(), assets::MODEL, "--model").ok()?;
+    // What is wrong with a card is said of the model.
+    let card = ModelCard::read(&folder.join(CARD_FILE)).ok().filter(|card| !card.classes.is_empty())?;
+    let known = map.places_of(&card.classes).iter().flatten().count();
+    Some(format!("; it has {known} of the {} places that {} was trained on", card.classes.len(), card.name))
 }
 
 fn rerun() -> Finding {

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use crossbeam_channel::{Receiver, Sender};
 
+use super::QUEUE_FRAMES;
 use crate::place_map::{Appearance, ExperienceId};
 use crate::recognition::{Exhibit, Recogniser, Walk};
 
@@ -15,6 +16,9 @@ pub(super) const ORDERS: usize = 16;
 /// Keyframes that wait to be described at most. They are shown after a frame, so at three frames a second hundreds are
 /// described within a minute.
 pub(super) const EXHIBITS: usize = 8;
+
+/// Frames that were described and not decided yet, at most: those of a queue, and one at either end of it.
+const UNDECIDED: usize = QUEUE_FRAMES + 2;
 
 /// What the one who looks after models wants.
 pub(super) enum Order {
@@ -39,21 +43,30 @@ pub(super) struct Desk {
     orders: Receiver<Order>,
     shown: Sender<Shown>,
     walk: Option<(Arc<str>, Walk)>,
+    /// Models that are to be forgotten, and after how many frames: of what they described some waits to be decided.
+    forgotten: Vec<(Arc<str>, usize)>,
 }
 
 impl Desk {
     pub(super) fn new(orders: Receiver<Order>, shown: Sender<Shown>) -> Self {
-        Self { orders, shown, walk: None }
+        Self { orders, shown, walk: None, forgotten: Vec::new() }
     }
 
     /// Carries out what was ordered: before a frame is decided, since whoever offered the model that described it had
     /// ordered all that it is compared with.
     pub(super) fn take_orders(&mut self, recogniser: &mut Recogniser) {
+        for (model, frames_left) in &mut self.forgotten {
+            *frames_left -= 1;
+            if *frames_left == 0 {
+                recogniser.forget_renewed(model);
+            }
+        }
+        self.forgotten.retain(|(_, frames_left)| *frames_left > 0);
         for order in self.orders.try_iter().take(ORDERS) {
             match order {
                 Order::Show(model) => self.walk = Some((Arc::clone(&model), Walk::new(model.to_string()))),
                 Order::Renew(keyframe, appearance) => recogniser.renew(keyframe, appearance),
-                Order::Forget(model) => recogniser.forget_renewed(&model),
+                Order::Forget(model) => self.forgotten.push((model, UNDECIDED)),
             }
         }
     }

@@ -13,6 +13,7 @@ mod absorb;
 mod batch;
 #[cfg(test)]
 mod budget_tests;
+mod classes;
 mod contents;
 mod error;
 mod format;

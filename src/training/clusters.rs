@@ -141,9 +141,20 @@ impl Clusters {
     }
 }
 
+impl Clusters {
+    /// Whether two classes may show the same, since they are one or next to each other.
+    #[must_use]
+    pub fn is_near(&self, one: usize, other: usize) -> bool {
+        match (self.classes.get(one), self.classes.get(other)) {
+            (Some(one), Some(other)) => one.is_near(other),
+            _ => false,
+        }
+    }
+}
+
 impl Class {
     /// Whether `other` may show the same as this one, since they are one or next to each other.
-    pub(super) fn is_near(&self, other: &Self) -> bool {
+    fn is_near(&self, other: &Self) -> bool {
         let is_next = |one: &Self, other: &Self| one.neighbours.contains(&other.place);
         self.map == other.map && (self.place == other.place || is_next(self, other) || is_next(other, self))
     }

@@ -92,6 +92,15 @@ pub struct Epoch {
     pub recall: f64,
 }
 
+/// What a training tells while it goes on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Step {
+    /// A batch was learnt.
+    Batch,
+    /// An epoch has ended.
+    Epoch(Epoch),
+}
+
 /// A network that tells the classes of what it is shown apart.
 pub(super) trait Lesson {
     /// What is trained.
@@ -130,17 +139,18 @@ pub(super) struct Fitted<N> {
 }
 
 /// Trains `start`, or goes on where `checkpoint` says; of all epochs the one is kept after which most is recognised
-/// of what is only looked at, and most surely. `progress` hears of every epoch, and may end the training early, with
-/// the best one so far.
+/// of what is only looked at, and most surely. `progress` hears of every step. After an epoch it may end the training
+/// early, with the best one so far; after a batch that interrupts it.
 ///
 /// # Errors
-/// [`TrainingError::NotFinite`], what `lesson` answers, or if the checkpoint cannot be written.
+/// [`TrainingError::NotFinite`], [`TrainingError::Interrupted`], what `lesson` answers, or if the checkpoint cannot be
+/// written.
 pub(super) fn fit<L: Lesson>(
     lesson: &L,
     start: L::Network,
     options: &FitOptions,
     checkpoint: Option<&Checkpoint>,
-    progress: &mut dyn FnMut(Epoch) -> ControlFlow<()>,
+    progress: &mut dyn FnMut(Step) -> ControlFlow<()>,
 ) -> Result<Fitted<L::Network>, TrainingError> {
     let mut state = match checkpoint.and_then(|checkpoint| checkpoint.read(&start)) {
         Some(state) => state,
@@ -149,7 +159,7 @@ pub(super) fn fit<L: Lesson>(
     for number in state.best.epochs.len() + 1..=options.epochs {
         // A stream of its own for each epoch: one that goes on draws what one that never stopped would.
         let mut random = Pcg64::new(u128::from(options.seed), number as u128);
-        let loss = run_epoch(lesson, &mut state, options, &mut random)?;
+        let loss = run_epoch((lesson, &mut state), options, &mut random, progress)?;
         let glance = lesson.glance(&state.network)?;
         // The last step may have broken what every loss was still computed with.
         if !loss.is_finite() || !glance.loss.is_finite() {
@@ -164,7 +174,7 @@ pub(super) fn fit<L: Lesson>(
         if let Some(checkpoint) = checkpoint {
             checkpoint.write(&state)?;
         }
-        if progress(epoch).is_break() {
+        if progress(Step::Epoch(epoch)).is_break() {
             break;
         }
     }
@@ -173,10 +183,10 @@ pub(super) fn fit<L: Lesson>(
 
 /// One epoch; answers the mean loss of its steps.
 fn run_epoch<L: Lesson>(
-    lesson: &L,
-    state: &mut State<L::Network>,
+    (lesson, state): (&L, &mut State<L::Network>),
     options: &FitOptions,
     random: &mut Pcg64,
+    progress: &mut dyn FnMut(Step) -> ControlFlow<()>,
 ) -> Result<f64, TrainingError> {
     let order = balanced(lesson.classes(), random);
     let mut losses = 0.0;
@@ -191,6 +201,9 @@ fn run_epoch<L: Lesson>(
         losses += value * batch.len() as f64;
         let gradients = GradientsParams::from_grads(loss.backward(), &state.network);
         state.network = state.optimiser.step(options.learning_rate, state.network.clone(), gradients);
+        if progress(Step::Batch).is_break() {
+            return Err(TrainingError::Interrupted);
+        }
     }
     Ok(losses / order.len() as f64)
 }

@@ -12,7 +12,7 @@ use rand_pcg::Pcg64;
 
 use super::checkpoint::Checkpoint;
 use super::error::TrainingError;
-use super::fitting::{Epoch, FitOptions, Fitted, Lesson, fit};
+use super::fitting::{Epoch, FitOptions, Fitted, Lesson, Step, fit};
 use super::labelled::{Glance, Labelled};
 use super::principal::principal_directions;
 
@@ -102,16 +102,18 @@ impl Head {
     }
 
     /// Trains a head on `learnt`; of all epochs the one is kept after which most of `checked` are recognised.
-    /// `progress` hears of every epoch and may end the training early, with the best one so far.
+    /// `progress` hears of every step. After an epoch it may end the training early, with the best one so far; after a
+    /// batch that interrupts it.
     ///
     /// # Errors
-    /// [`TrainingError::TooFewClasses`] or [`TrainingError::NotFinite`], or if the checkpoint cannot be written.
+    /// [`TrainingError::TooFewClasses`], [`TrainingError::NotFinite`] or [`TrainingError::Interrupted`], or if the
+    /// checkpoint cannot be written.
     pub fn train(
         (learnt, checked): (&Labelled, &Labelled),
         dimensions: usize,
         options: &FitOptions,
         (device, checkpoint): (&Device, Option<&Checkpoint>),
-        progress: &mut dyn FnMut(Epoch) -> ControlFlow<()>,
+        progress: &mut dyn FnMut(Step) -> ControlFlow<()>,
     ) -> Result<Self, TrainingError> {
         let start = Self::untrained(learnt, checked, dimensions, options)?;
         let dimensions = start.dimensions();
@@ -211,8 +213,9 @@ mod tests {
         until: usize,
     ) -> Result<Head, TrainingError> {
         let (learnt, checked) = (labelled(600, 1), labelled(300, 2));
-        let mut stop = |epoch: Epoch| {
-            if epoch.number == until { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        let mut stop = |step: Step| match step {
+            Step::Epoch(epoch) if epoch.number == until => ControlFlow::Break(()),
+            _ => ControlFlow::Continue(()),
         };
         Head::train((&learnt, &checked), DIMENSIONS, options, (&Device::flex(), checkpoint), &mut stop)
     }
@@ -269,6 +272,23 @@ mod tests {
         std::fs::write(&path, damaged).unwrap();
         assert_eq!(checkpoint.epochs(), 0);
         assert_eq!(train_until(&few, Some(&checkpoint), usize::MAX).unwrap(), train(&few));
+    }
+
+    #[test]
+    fn a_training_that_is_interrupted_within_an_epoch_keeps_the_one_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let checkpoint = Checkpoint::new(&folder.path().join("site.checkpoint"), "");
+        let (learnt, checked) = (labelled(600, 1), labelled(300, 2));
+        let mut batches = 0;
+        // An epoch has 19.
+        let mut stop = |step| {
+            batches += usize::from(step == Step::Batch);
+            if batches == 25 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        let how = (&Device::flex(), Some(&checkpoint));
+        let ended = Head::train((&learnt, &checked), DIMENSIONS, &options(), how, &mut stop);
+        assert!(matches!(ended, Err(TrainingError::Interrupted)));
+        assert_eq!(checkpoint.epochs(), 1);
     }
 
     #[test]

@@ -31,7 +31,7 @@ pub use calibration::Calibration;
 pub use checkpoint::Checkpoint;
 pub use clusters::{Class, ClusterRules, Clusters, Sample};
 pub use error::TrainingError;
-pub use fitting::{Epoch, FitOptions, Loss};
+pub use fitting::{Epoch, FitOptions, Loss, Step};
 pub use gathering::{Describe, Gathered, described, varied};
 pub use head::Head;
 pub use labelled::Labelled;

@@ -19,7 +19,7 @@ use rand_pcg::Pcg64;
 
 use super::checkpoint::Checkpoint;
 use super::error::TrainingError;
-use super::fitting::{Epoch, FitOptions, Fitted, Lesson, fit};
+use super::fitting::{FitOptions, Fitted, Lesson, Step, fit};
 use super::head::{Head, HeadNetwork, values};
 use super::labelled::{Glance, Labelled};
 use super::pictures::{Picture, Pictures};
@@ -166,7 +166,7 @@ impl PaperCnn {
         classes: usize,
         options: &PaperOptions,
         (device, checkpoint): (&Device, Option<&Checkpoint>),
-        progress: &mut dyn FnMut(Epoch) -> ControlFlow<()>,
+        progress: &mut dyn FnMut(Step) -> ControlFlow<()>,
     ) -> Result<Self, TrainingError> {
         if classes < 2 {
             return Err(TrainingError::TooFewClasses { classes });

@@ -27,23 +27,17 @@ pub struct TrainedModel {
 }
 
 impl TrainedModel {
-    /// The model of `network`, which says `descriptors` of the images of `clusters`, of which the model that it is to
-    /// take the place of says `current`. `card` tells what the network is; decision, classes and figures are put into
+    /// The model of `network`, which says `descriptors` of the images of `clusters`; the one that it is to take the
+    /// place of stands like `current`. `card` tells what the network is; decision, classes and figures are put into
     /// it.
     #[must_use]
     pub fn new(
         network: OnnxModel,
         card: ModelCard,
         clusters: &Clusters,
-        (descriptors, current): (&Gathered, &Gathered),
+        (descriptors, current): (&Gathered, Standing),
     ) -> Self {
-        let is_near =
-            |one: usize, other: usize| match (clusters.classes.get(one), clusters.classes.get(other)) {
-                (Some(one), Some(other)) => one.is_near(other),
-                _ => false,
-            };
-        let standing = Standing::of(descriptors, is_near);
-        let current = Standing::of(current, is_near);
+        let standing = Standing::of(descriptors, |one, other| clusters.is_near(one, other));
         let decision = standing.calibration.map(|calibration| DecisionCard {
             recognise_above: (calibration.threshold as f32).clamp(-1.0, 1.0),
             calibration_slope: calibration.slope as f32,
@@ -165,8 +159,9 @@ mod tests {
 
     fn model_of(head: &Head, gathered: &Gathered) -> TrainedModel {
         let (network, card) = head.grafted((backbone(), &card())).unwrap();
-        let descriptors = gathered.projected(&head.projection);
-        TrainedModel::new(network, card, &Clusters::default(), (&descriptors, gathered))
+        let (descriptors, current) =
+            (gathered.projected(&head.projection), Standing::of(gathered, |_, _| false));
+        TrainedModel::new(network, card, &Clusters::default(), (&descriptors, current))
     }
 
     fn trained_on(learnt: &Labelled, checked: &Labelled) -> Head {
@@ -224,7 +219,8 @@ mod tests {
         // Judged by what it would know of the places: what it was taught.
         let (network, card) = head.grafted((backbone(), &card())).unwrap();
         let descriptors = wrong.projected(&head.projection);
-        let model = TrainedModel::new(network, card, &Clusters::default(), (&descriptors, &gathered));
+        let current = Standing::of(&gathered, |_, _| false);
+        let model = TrainedModel::new(network, card, &Clusters::default(), (&descriptors, current));
         assert!(!model.is_accepted(), "{:?} {:?}", model.standing, model.current);
     }
 

@@ -119,8 +119,10 @@ fn without_a_model_geometry_goes_on_alone_and_a_model_that_is_named_must_be_ther
     }
     assert!(merged.stdout.contains("by geometry"), "{}", merged.stdout);
     assert!(!merged.stdout.contains("by the CNN"), "{}", merged.stdout);
-    let named = loci_without_model(folder.path(), &[&merge[..], &["--model", "none"]].concat());
-    named.assert_failed(1, &["none/card.toml"]);
+    let named = loci_without_model(folder.path(), &[&merge[..], &["--model", "missing"]].concat());
+    named.assert_failed(1, &["missing/card.toml"]);
+    let unwanted = loci_without_model(folder.path(), &[&merge[..], &["--model", "none"]].concat());
+    assert_eq!((unwanted.code, unwanted.stderr.as_str()), (0, ""));
 }
 
 #[test]

@@ -38,6 +38,10 @@ fn a_model_is_trained_from_the_places_of_a_map_and_used_like_any_other() {
     let page = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("<h1>Training of site</h1>") && page.contains("<svg"), "{page}");
     assert!(!folder.path().join("site.checkpoint").exists());
+    let doctor = loci(&["doctor", "--map", text(&map), "--model", text(&out)]);
+    let classes = report["classes"].as_u64().unwrap();
+    let known = format!("it has {classes} of the {classes} places that site was trained on");
+    assert!(doctor.stdout.contains(&known), "{}", doctor.stdout);
     // Its descriptors are none of the map's: a new map is learnt with it, and found again.
     let other = folder.path().join("other");
     let again = loci(&["run", &drive("2"), "--map", text(&other), "--model", text(&out), "--json"]);

@@ -19,7 +19,7 @@ use loci::place_map::PlaceMap;
 use loci::raster::RgbImage;
 use loci::training::{
     Augmentation, Checkpoint, ClusterRules, Clusters, Describe, Device, Epoch, Gathered, Head, Labelled,
-    PaperCnn, Picture, Pictures, TrainingError, TrainingReport, Variation, described, varied,
+    PaperCnn, Picture, Pictures, Standing, TrainingError, TrainingReport, Variation, described, varied,
 };
 
 use self::arguments::Architecture;
@@ -63,7 +63,8 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let current = trainer.gathered(&pictures, &mut trainer.open(&trainer.model)?)?;
     let (candidate, epochs) =
         trainer.train(&pictures, (&clusters, &current)).map_err(|error| trainer.with_what_is_kept(error))?;
-    let (mut model, precision) = trainer.in_precision(candidate, (&pictures, &clusters), &current)?;
+    let current = Standing::of(&current, |one, other| clusters.is_near(one, other));
+    let (mut model, precision) = trainer.in_precision(candidate, (&pictures, &clusters), current)?;
     model.card.name = name_of(&out);
     let is_accepted = model.is_accepted() || arguments.accept;
     let folder = if is_accepted { &out } else { &aside };

@@ -21,7 +21,7 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
-    fn judged(self, clusters: &Clusters, current: &Gathered) -> TrainedModel {
+    fn judged(self, clusters: &Clusters, current: Standing) -> TrainedModel {
         TrainedModel::new(self.network, self.card, clusters, (&self.descriptors, current))
     }
 }
@@ -33,7 +33,7 @@ impl Trainer<'_> {
         &self,
         candidate: Candidate,
         (pictures, clusters): (&Pictures<'_>, &Clusters),
-        current: &Gathered,
+        current: Standing,
     ) -> anyhow::Result<(TrainedModel, Precision)> {
         let wanted = self.arguments.precision;
         if wanted == Precision::F32 {

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use indicatif::ProgressDrawTarget;
-use loci::training::{Checkpoint, Epoch, TrainingError};
+use loci::training::{Checkpoint, Epoch, Step, TrainingError};
 
 use super::super::console::progress_bar;
 
@@ -39,13 +39,15 @@ impl<'a> Progress<'a> {
         &self,
         count: usize,
         checkpoint: &Checkpoint,
-        work: impl FnOnce(&mut dyn FnMut(Epoch) -> ControlFlow<()>) -> Result<T, TrainingError>,
+        work: impl FnOnce(&mut dyn FnMut(Step) -> ControlFlow<()>) -> Result<T, TrainingError>,
     ) -> Result<T, TrainingError> {
         let bar = progress_bar(Some(count as u64), "epochs", ProgressDrawTarget::stderr());
         bar.set_position(checkpoint.epochs() as u64);
-        let done = work(&mut |Epoch { loss, recall, .. }| {
-            bar.inc(1);
-            bar.set_prefix(format!("loss {loss:.3}, recall {recall:.3} "));
+        let done = work(&mut |step| {
+            if let Step::Epoch(Epoch { loss, recall, .. }) = step {
+                bar.inc(1);
+                bar.set_prefix(format!("loss {loss:.3}, recall {recall:.3} "));
+            }
             self.go_on()
         });
         bar.finish_and_clear();
