@@ -42,6 +42,8 @@ pub struct Sample {
     pub view: u64,
     /// Mean luminance of the frame, 0 to 255, where it is known.
     pub mean_luminance: Option<f32>,
+    /// Whether it is of another place of the map, and joined since it was seen where the class is.
+    pub is_joined: bool,
 }
 
 /// A place to be learnt.
@@ -163,7 +165,7 @@ impl Class {
 impl Sample {
     fn new(experience: &Experience, capture_nanos: i64) -> Self {
         let &Experience { id, view, mean_luminance, .. } = experience;
-        Self { experience: id, capture_nanos, view, mean_luminance }
+        Self { experience: id, capture_nanos, view, mean_luminance, is_joined: false }
     }
 
     /// Whether nothing can be learnt from the one that the other does not teach.
@@ -217,7 +219,7 @@ fn join_by_pose(
         let near = poses.iter().filter(|(_, known)| is_same_view(known, &pose, radius_metres));
         let nearest = near.min_by(|(_, a), (_, b)| distance(a, &pose).total_cmp(&distance(b, &pose)));
         if let Some(&(index, _)) = nearest {
-            large[index].samples.push(*sample);
+            large[index].samples.push(Sample { is_joined: true, ..*sample });
             grown.insert(index);
             joined += 1;
         }

@@ -87,7 +87,7 @@ fn described(standing: &Standing) -> String {
 }
 
 fn class_card(class: &Class) -> ClassCard {
-    let samples = class.learnt.iter().filter(|sample| sample.view != 0);
+    let samples = class.learnt.iter().filter(|sample| sample.view != 0 && !sample.is_joined);
     let step = (class.learnt.len() / MOST_VIEWS).max(1);
     let views = samples.step_by(step).take(MOST_VIEWS).map(|sample| format!("{:016x}", sample.view));
     ClassCard { place: class.place.0, name: class.name.clone(), views: views.collect() }
