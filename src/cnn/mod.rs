@@ -39,6 +39,8 @@ pub(crate) use model::tests::{MEANS, model_folder, runtime as installed_runtime,
 pub use card::{ClassCard, DecisionCard, DescriptorCard, InputCard, ModelCard, TrainingCard};
 pub use compact::CompactDescriptor;
 pub use descriptor::Descriptor;
+#[cfg(feature = "train")]
+pub(crate) use descriptor::dot;
 pub use error::CnnError;
 #[cfg(feature = "train")]
 pub use generator::{ImageGenerator, PixelRange, RANGE_KEY};

@@ -192,6 +192,25 @@ fn laps_until(
     }
 }
 
+/// Laps in which, at frame 50, a network that ends in `operators` is deployed, until 60 frames after that was `heard`
+/// of.
+fn laps_with_deployed(
+    robot: &Robot,
+    operators: &'static [&'static str],
+    (heard, of): (&Arc<Heard>, &'static str),
+) -> impl FnMut(u64) -> Option<[u8; 3]> + Send + use<> {
+    let (hears, folder) = (Arc::clone(heard), robot.folder.path().to_owned());
+    laps_until(
+        move |index| {
+            if index == 50 {
+                deploy(&folder, &network_with(operators));
+            }
+            hears.count(of) > 0
+        },
+        60,
+    )
+}
+
 /// Asserts that every frame was answered once, and from `from` on as the place that its colour is.
 fn assert_all_known(heard: &Heard, from: usize) {
     let records = heard.records.lock().unwrap();
@@ -206,18 +225,9 @@ fn assert_all_known(heard: &Heard, from: usize) {
 #[test]
 fn a_model_that_is_deployed_takes_over_between_two_frames_and_all_of_them_are_answered_by_one_model_each() {
     let Some(robot) = Robot::with_model(&MEANS) else { return };
-    let (heard, folder) = (Arc::new(Heard::default()), robot.folder.path().to_owned());
-    let hears = Arc::clone(&heard);
-    let next = laps_until(
-        move |index| {
-            // To it every colour is the opposite of what it is to the other one.
-            if index == 50 {
-                deploy(&folder, &network_with(&["Neg"]));
-            }
-            hears.count("changed") > 0
-        },
-        60,
-    );
+    let heard = Arc::new(Heard::default());
+    // To it every colour is the opposite of what it is to the other one.
+    let next = laps_with_deployed(&robot, &["Neg"], (&heard, "changed"));
     let summary = robot.drive(options(), &heard, next);
     assert_all_known(&heard, PLACES);
     assert_eq!(summary.model_changes, 1);
@@ -244,17 +254,8 @@ fn a_model_that_is_deployed_takes_over_between_two_frames_and_all_of_them_are_an
 #[test]
 fn a_network_to_which_all_places_are_alike_is_refused_and_the_old_one_goes_on() {
     let Some(robot) = Robot::with_model(&MEANS) else { return };
-    let (heard, folder) = (Arc::new(Heard::default()), robot.folder.path().to_owned());
-    let hears = Arc::clone(&heard);
-    let next = laps_until(
-        move |index| {
-            if index == 50 {
-                deploy(&folder, &network_with(&["Sign", "Abs"]));
-            }
-            hears.count("refused") > 0
-        },
-        60,
-    );
+    let heard = Arc::new(Heard::default());
+    let next = laps_with_deployed(&robot, &["Sign", "Abs"], (&heard, "refused"));
     let summary = robot.drive(options(), &heard, next);
     assert_all_known(&heard, PLACES);
     assert_eq!(summary.model_changes, 0);

@@ -8,7 +8,7 @@ use super::error::TrainingError;
 use super::labelled::Labelled;
 use super::pictures::{Picture, Pictures};
 use super::variation::Variation;
-use crate::cnn::{CnnError, DescriptorModel};
+use crate::cnn::{CnnError, Descriptor, DescriptorModel};
 use crate::raster::RgbImage;
 
 /// Vectors of all classes: features of a backbone, or descriptors of a trained model.
@@ -107,9 +107,16 @@ pub type Describe<'a> = dyn FnMut(&RgbImage) -> Result<Option<Vec<f32>>, Trainin
 /// # Errors
 /// [`TrainingError::Cnn`].
 pub fn described(model: &mut DescriptorModel, image: &RgbImage) -> Result<Option<Vec<f32>>, TrainingError> {
+    Ok(descriptor(model, image)?.map(|descriptor| descriptor.as_slice().to_vec()))
+}
+
+/// The descriptor of an image; nothing if it has none.
+pub(super) fn descriptor(
+    model: &mut DescriptorModel,
+    image: &RgbImage,
+) -> Result<Option<Descriptor>, CnnError> {
     match model.describe(image) {
-        Ok(descriptor) => Ok(Some(descriptor.as_slice().to_vec())),
         Err(CnnError::Degenerate { .. }) => Ok(None),
-        Err(error) => Err(error.into()),
+        described => described.map(Some),
     }
 }

@@ -1,5 +1,7 @@
 //! Feature vectors of images whose classes are known, and how often the nearest class is the right one.
 
+use crate::cnn::dot;
+
 /// Feature vectors with their classes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Labelled {
@@ -160,16 +162,6 @@ impl Labelled {
 fn nearest(prototypes: &[f32], vector: &[f32]) -> Option<usize> {
     let cosines = prototypes.chunks_exact(vector.len()).map(|prototype| dot(prototype, vector)).enumerate();
     cosines.reduce(|best, next| if next.1 > best.1 { next } else { best }).map(|(class, _)| class)
-}
-
-/// Dot product in eight running sums, which the compiler keeps in vector registers.
-pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let ((a_blocks, a_rest), (b_blocks, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
-    let mut sums = [0.0_f32; 8];
-    for (a, b) in a_blocks.iter().zip(b_blocks) {
-        sums.iter_mut().zip(a.iter().zip(b)).for_each(|(sum, (a, b))| *sum += a * b);
-    }
-    sums.iter().sum::<f32>() + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f32>()
 }
 
 fn norm(vector: &[f32]) -> f32 {

@@ -23,8 +23,9 @@ use super::fitting::{FitOptions, Fitted, Lesson, Step, fit};
 use super::head::{Head, HeadNetwork, values};
 use super::labelled::{Glance, Labelled};
 use super::pictures::{Picture, Pictures};
+use super::trained_model::NOTHING_RECOGNISED;
 use super::variation::Variation;
-use crate::cnn::{DecisionCard, InputCard, ModelCard, Preprocessor, TrainingCard};
+use crate::cnn::{InputCard, ModelCard, Preprocessor, TrainingCard};
 use crate::onnx::{Attribute, Dimension, GraphBuilder, OnnxModel, Value};
 use crate::raster::RgbImage;
 
@@ -241,7 +242,7 @@ impl PaperCnn {
             sha256: String::new(),
             input: input_card(),
             descriptor: self.head.descriptor_card(),
-            decision: DecisionCard { recognise_above: 1.0, calibration_slope: 0.0, calibration_offset: 0.0 },
+            decision: NOTHING_RECOGNISED,
             training: TrainingCard { data: "No other images.".to_owned() },
             metrics: BTreeMap::new(),
             classes: Vec::new(),

@@ -3,9 +3,10 @@
 use rand_pcg::Pcg64;
 
 use super::error::TrainingError;
+use super::gathering::descriptor;
 use super::pictures::Pictures;
 use super::variation::Variation;
-use crate::cnn::{CnnError, Descriptor, DescriptorModel, ModelCard, Observer, OnnxRuntime};
+use crate::cnn::{DescriptorModel, ModelCard, Observer, OnnxRuntime};
 use crate::onnx::{OnnxModel, Range, Ranges};
 use crate::raster::RgbImage;
 
@@ -85,7 +86,7 @@ pub fn agreement(
     let mut cosines = Vec::new();
     for image in images {
         let image = image?;
-        if let (Some(one), Some(other)) = (described(one, &image)?, described(other, &image)?) {
+        if let (Some(one), Some(other)) = (descriptor(one, &image)?, descriptor(other, &image)?) {
             cosines.push(f64::from(one.cosine(&other)));
         }
     }
@@ -98,14 +99,6 @@ pub fn agreement(
         mean_cosine: cosines.iter().sum::<f64>() / images as f64,
         worst_cosine: cosines.into_iter().fold(f64::INFINITY, f64::min),
     })
-}
-
-/// The descriptor of an image; nothing if it has none.
-fn described(model: &mut DescriptorModel, image: &RgbImage) -> Result<Option<Descriptor>, CnnError> {
-    match model.describe(image) {
-        Err(CnnError::Degenerate { .. }) => Ok(None),
-        described => described.map(Some),
-    }
 }
 
 #[cfg(test)]

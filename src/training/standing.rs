@@ -2,7 +2,8 @@
 
 use super::calibration::Calibration;
 use super::gathering::Gathered;
-use super::labelled::{Labelled, dot};
+use super::labelled::Labelled;
+use crate::cnn::dot;
 
 /// Quantile of the normal distribution for 95 %.
 const Z: f64 = 1.96;

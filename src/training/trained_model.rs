@@ -10,7 +10,7 @@ use crate::onnx::OnnxModel;
 const MOST_VIEWS: usize = 8;
 
 /// Where there was too little to fit a threshold on.
-const NOTHING_RECOGNISED: DecisionCard =
+pub(super) const NOTHING_RECOGNISED: DecisionCard =
     DecisionCard { recognise_above: 1.0, calibration_slope: 0.0, calibration_offset: 0.0 };
 
 /// A network and what is to be known of it.
