@@ -32,4 +32,6 @@ pub mod storage;
 
 pub mod frame;
 pub mod geometry;
+#[cfg(any(feature = "evaluation", feature = "train"))]
+pub mod proportion;
 pub mod raster;

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Modules and their floors; neighbours on one floor do not know each other.
-const FLOORS: [(&str, u32); 20] = [
+const FLOORS: [(&str, u32); 21] = [
     ("cli", 9),
     ("evaluation", 8),
     ("training", 8),
@@ -24,6 +24,7 @@ const FLOORS: [(&str, u32); 20] = [
     ("storage", 1),
     ("frame", 0),
     ("geometry", 0),
+    ("proportion", 0),
     ("raster", 0),
     // `main` and `lib` stand outside the house: they only open the doors.
     ("main", 10),
@@ -60,7 +61,7 @@ const HOMES: [(&str, &[&str]); 31] = [
     ("flate2", &["evaluation", "vocabulary"]),
     ("plotters", &["evaluation", "training"]),
     ("heapless", &["recognition", "retrieval", "verification"]),
-    ("rayon", &["vocabulary", "cli"]),
+    ("rayon", &["vocabulary", "training", "cli"]),
     ("rand_pcg", &["vocabulary", "source", "evaluation", "training"]),
 ];
 

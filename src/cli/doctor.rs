@@ -108,9 +108,10 @@ fn model(settings: &StreamSettings, runtime: &OnnxRuntime) -> anyhow::Result<Str
     }
     let folder = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
     let mut model = DescriptorModel::open(&folder, runtime, 1)?;
-    let grey = vec![128; 64 * 64 * 3];
-    let image = RgbImage::from_pixels(64, 64, grey).unwrap_or_else(|| RgbImage::new(64, 64));
-    let descriptor = model.describe(&image)?;
+    // In a picture of one colour a network may see nothing.
+    let waves = |at: usize| [(at % 64) * 4, (at / 64) * 4, (at * at) % 256].map(|value| value as u8);
+    let image = RgbImage::from_pixels(64, 64, (0..64 * 64).flat_map(waves).collect());
+    let descriptor = model.describe(&image.unwrap_or_else(|| RgbImage::new(64, 64)))?;
     Ok(format!("{} answers with {} values", model.card().name, descriptor.dimensions()))
 }
 

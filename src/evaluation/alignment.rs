@@ -4,7 +4,7 @@
 use super::answer::Answer;
 use super::ground_truth::Relation;
 use super::judgement::Search;
-use super::metrics::Proportion;
+use crate::proportion::Proportion;
 
 /// Largest shift that is tried, in frames.
 const MAX_SHIFT: i64 = 5;

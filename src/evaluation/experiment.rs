@@ -10,7 +10,7 @@ use super::frames::FrameDatabase;
 use super::judgement::{Search, horizons_of_past};
 use super::machine;
 use super::map::{Robot, RobotOptions};
-use super::metrics::{self, Proportion};
+use super::metrics;
 use super::paper;
 use super::results::{Baseline, Database, Experiment, Method, MethodResult, StageLatency};
 use super::scene::{Answers, Scene};
@@ -19,6 +19,7 @@ use super::traverse::{Eyes, Traverse, TraversePlan};
 use super::truth_plan::TruthPlan;
 use super::worst;
 use crate::pipeline::Watcher;
+use crate::proportion::Proportion;
 
 /// What to find out.
 #[derive(Clone, Debug)]

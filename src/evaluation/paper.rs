@@ -16,6 +16,7 @@ use super::results::{Method, PaperProtocol, PublishedRow};
 use super::scene::Scene;
 use super::traverse::Eyes;
 use crate::cnn::Descriptor;
+use crate::proportion::Proportion;
 use crate::recognition::RecognitionOptions;
 
 /// Fewest frames of a cluster that becomes a class.
@@ -81,7 +82,7 @@ pub(super) fn protocol(
     Ok(PaperProtocol {
         clusters_founded: clusters.len() as u64,
         classes: classes.len() as u64,
-        training_share: super::metrics::Proportion::new(held as u64, scene.reference.len() as u64),
+        training_share: Proportion::new(held as u64, scene.reference.len() as u64),
         classifier: "nearest class mean of the loaded CNN's descriptors".to_owned(),
         cnn: eyes.model.as_ref().and_then(|_| share_of(scored.iter().map(by_cnn))),
         bow_hv: share_of(scored.iter().map(matched)),

@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::definitions::DEFINITIONS;
-use super::metrics::{Calibration, Estimate, PrecisionRecall, Proportion};
+use super::metrics::{Calibration, Estimate, PrecisionRecall};
+use crate::proportion::Proportion;
 
 /// Name and version of the schema.
 pub const SCHEMA: &str = "loci-evaluation-1";

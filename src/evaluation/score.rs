@@ -3,8 +3,9 @@
 
 use super::ground_truth::Relation;
 use super::judgement::{Asked, Judged};
-use super::metrics::{self, Calibration, Guess, PrecisionRecall, Proportion};
+use super::metrics::{self, Calibration, Guess, PrecisionRecall};
 use super::results::{Confusion, Figures};
+use crate::proportion::Proportion;
 
 /// The figures of one method on one query traverse, with the curves behind them.
 pub struct Score {

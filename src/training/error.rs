@@ -1,5 +1,6 @@
 //! Why a training ended without a model.
 
+use super::device::DeviceChoice;
 use crate::cnn::CnnError;
 use crate::onnx::OnnxError;
 use crate::place_map::MapError;
@@ -23,6 +24,14 @@ pub enum TrainingError {
     NotFinite {
         /// The epoch, counted from 1.
         epoch: usize,
+    },
+    /// There is no such device.
+    #[error("no device {wanted}: {reason}")]
+    NoSuchDevice {
+        /// What was wanted.
+        wanted: DeviceChoice,
+        /// Why there is none, and what helps.
+        reason: &'static str,
     },
     /// The device did not give back what it computed.
     #[error("the device fails: {reason}")]

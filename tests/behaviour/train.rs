@@ -1,10 +1,18 @@
 //! `loci train`: from a map to a model that a run uses.
 
+use std::collections::BTreeMap;
 use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
+use loci::feature::Features;
+use loci::onnx::{Dimension, GraphBuilder};
+use loci::place_map::{MapOptions, NewExperience, PlaceId, PlaceMap, Traits};
+use loci::source::thumbnail_jpeg;
 use serde_json::Value;
 
-use crate::program::{loci, text};
+use crate::program::{Finished, loci, text};
 
 #[test]
 fn a_model_is_trained_from_the_places_of_a_map_and_used_like_any_other() {
@@ -78,4 +86,136 @@ fn a_map_without_two_places_to_tell_apart_trains_nothing() {
     assert!(!out.exists());
     loci(&["train", text(folder.path()), "--out", text(&out)]).assert_failed(1, &["no map in "]);
     assert_eq!(loci(&["train", "--out", text(&out)]).code, 2);
+}
+
+/// Looks at the same four places of a street, lap after lap, as experiences of the place that `place_of` says, in a map
+/// in `folder`.
+fn map_of(folder: &Path, laps: u64, place_of: impl Fn(u64, u64) -> u64) {
+    let spec = format!("synthetic:street?laps={laps}&frames=4&size=224x168&seed=3");
+    let mut source = loci::source::open(&spec, None).unwrap();
+    let mut map = PlaceMap::open(folder, MapOptions::default()).unwrap();
+    let (features, traits) = (Features::default(), Traits::default());
+    let mut founded: BTreeMap<u64, PlaceId> = BTreeMap::new();
+    while let Some(frame) = source.next_frame() {
+        let frame = frame.unwrap();
+        let place = place_of(frame.index % 4, frame.index / 4);
+        let known = founded.get(&place).copied();
+        let new = NewExperience {
+            frame: &frame,
+            // No two are the same.
+            view: frame.index + 1,
+            mean_luminance: 100.0,
+            thumbnail_jpeg: &thumbnail_jpeg(&frame.colour),
+            keyframe: known.is_none().then_some((&features, &traits)),
+        };
+        founded.insert(place, map.learn(known, &new).unwrap().place);
+    }
+    map.close().unwrap();
+}
+
+/// Trains on the map in `folder`, a little.
+fn train_on(folder: &Path, out: &Path, more: &[&str]) -> Finished {
+    let few = ["--min-samples", "8", "--epochs", "3", "--augment", "1", "--precision", "f32"];
+    loci(&[&["train", text(folder), "--out", text(out)], &few[..], more].concat())
+}
+
+#[test]
+fn a_model_of_places_that_are_told_apart_is_taken_and_one_of_shuffled_places_kept_aside() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    map_of(&path("map"), 16, |place, _| place);
+    let taken = train_on(&path("map"), &path("site"), &[]);
+    assert_eq!(taken.code, 0, "{}", taken.stderr);
+    assert!(path("site/model.onnx").exists() && !path("site.rejected").exists());
+    // Each place by what it looks like in one lap, and by what another one does in the next.
+    map_of(&path("shuffled"), 16, |place, lap| (place + lap * (lap + 1) / 2) % 4);
+    let refused = train_on(&path("shuffled"), &path("other"), &[]);
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    assert!(refused.stderr.contains("does not do as well on what was held out"), "{}", refused.stderr);
+    assert!(refused.stderr.contains("other.rejected"), "{}", refused.stderr);
+    assert!(!path("other").exists() && path("other.rejected/report.html").exists());
+    let insisted = train_on(&path("shuffled"), &path("third"), &["--accept"]);
+    assert_eq!(insisted.code, 0, "{}", insisted.stderr);
+    assert!(insisted.stderr.contains("taken all the same"), "{}", insisted.stderr);
+    assert!(path("third/model.onnx").exists());
+}
+
+#[test]
+fn a_training_that_is_interrupted_goes_on_and_ends_in_the_same_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    map_of(&path("map"), 10, |place, _| place);
+    let (map, out, checkpoint) = (path("map"), path("site"), path("site.checkpoint"));
+    let arguments = |out: &Path| -> Vec<String> {
+        let few = "--min-samples 6 --epochs 200 --augment 0 --precision f32 --accept".split(' ');
+        let given = ["train", text(&map), "--out", text(out)];
+        given.into_iter().chain(few).map(str::to_owned).collect()
+    };
+    let mut process = Command::new(env!("CARGO_BIN_EXE_loci"));
+    let process = process.args(arguments(&out)).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut process = process.spawn().unwrap();
+    while !checkpoint.exists() {
+        assert!(process.try_wait().unwrap().is_none(), "it ended before it could be interrupted");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let interrupt = Command::new("kill").args(["-INT", &process.id().to_string()]).status().unwrap();
+    assert!(interrupt.success());
+    let ended = process.wait_with_output().unwrap();
+    let stderr = String::from_utf8(ended.stderr).unwrap();
+    assert_eq!(ended.status.code(), Some(1), "{stderr}");
+    assert!(stderr.starts_with("loci: interrupted; the same command goes on with what is in "), "{stderr}");
+    assert!(!out.exists() && checkpoint.exists());
+    let resumed = loci(&arguments(&out));
+    assert_eq!(resumed.code, 0, "{}", resumed.stderr);
+    assert!(resumed.stderr.contains("going on after"), "{}", resumed.stderr);
+    let whole = loci(&arguments(&path("whole")));
+    assert!(!whole.stderr.contains("going on after"), "{}", whole.stderr);
+    let network = |folder: &str| fs::read(path(folder).join("model.onnx")).unwrap();
+    assert!(network("site") == network("whole"), "the networks differ");
+}
+
+#[test]
+fn the_papers_cnn_is_trained_with_a_generators_images_and_computes_in_the_precision_that_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    map_of(&path("map"), 10, |place, _| place);
+    // A negative: no camera makes one, but a network does.
+    let mut graph = GraphBuilder::new("negative");
+    let open = [Dimension::Batch, Dimension::Fixed(3), Dimension::Fixed(64), Dimension::Fixed(64)];
+    let image = graph.input("image", &open);
+    let negative = graph.node("Neg", &[&image], &[]);
+    graph.output("negative", &negative, &open).unwrap();
+    fs::write(path("negative.onnx"), graph.finish().to_bytes()).unwrap();
+    let generator = path("negative.onnx");
+    let more = [
+        "--architecture",
+        "paper",
+        "--augment-model",
+        text(&generator),
+        "--accept",
+        "--json",
+        "--device",
+        "cpu",
+    ];
+    for precision in ["f32", "int8"] {
+        let out = path(precision);
+        let few = ["--min-samples", "6", "--epochs", "1", "--precision", precision];
+        let map = path("map");
+        let given = ["train", text(&map), "--out", text(&out)];
+        let trained = loci(&[&given[..], &few, &more].concat());
+        assert_eq!(trained.code, 0, "{}", trained.stderr);
+        let report: Value = serde_json::from_str(trained.stdout.trim()).unwrap();
+        assert_eq!((&report["precision"], &report["device"]), (&precision.into(), &"cpu".into()), "{report}");
+        let used = loci(&["doctor", "--model", text(&out)]);
+        let answers = format!("{precision} answers with 256 values");
+        assert!(used.stdout.contains(&answers), "{}", used.stdout);
+    }
+    let bytes = |precision: &str| fs::metadata(path(precision).join("model.onnx")).unwrap().len();
+    assert!(bytes("int8") < bytes("f32"), "{} {}", bytes("int8"), bytes("f32"));
+    let nowhere = train_on(&path("map"), &path("nowhere"), &["--device", "cuda:999"]);
+    nowhere.assert_failed(1, &["no device cuda:999"]);
+    let (map, out) = (path("map"), path("nowhere"));
+    let contrary = ["--augment-model", text(&generator), "--augment", "0"];
+    let none = loci(&[&["train", text(&map), "--out", text(&out)], &contrary[..]].concat());
+    none.assert_failed(2, &["--augment-model makes nothing of --augment 0"]);
 }

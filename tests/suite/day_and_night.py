@@ -6,7 +6,8 @@
 other and maps frames in the order of time, by BoW+HV alone and without labels: the first 60 % of each camera's, or of
 all its frames those of the day alone. `loci train` makes a CNN of that map twice, on the shipped trunk and as the paper has
 it. Asked are the frames of the night that were not mapped: those darker than halfway from the camera's darkest to its
-brightest. The program needs the features train and evaluation. Prints a table for BENCHMARKS.md.
+brightest. Searched are all frames that were mapped, and the map that a robot founds with that method. The program needs
+the features train and evaluation. Prints a table for BENCHMARKS.md.
 """
 
 import csv
@@ -28,7 +29,7 @@ MAPPED = {
 
 
 def main():
-    print("| Mapped | Method | Frames | R@1 | Recall | Precision |\n|---|---|---|---|---|---|")
+    print("| Mapped | Method | Searched | Asked | R@1 | Recall | Precision |\n|---|---|---|---|---|---|---|")
     for mapped, is_known in MAPPED.items():
         with tempfile.TemporaryDirectory() as folder:
             measure(mapped, is_known, Path(folder))
@@ -37,13 +38,13 @@ def main():
 def measure(mapped, is_known, folder):
     lay_out(folder, is_known)
     run("run", folder / "frames", "--map", folder / "map", "--model", "none")
-    row(mapped, "BoW+HV", evaluate(folder, "bow_hv", None))
-    row(mapped, "shipped CNN", evaluate(folder, "cnn", None))
+    rows(mapped, "BoW+HV", evaluate(folder, "bow_hv", None))
+    rows(mapped, "shipped CNN", evaluate(folder, "cnn", None))
     for architecture in ("trunk", "paper"):
         out = folder / architecture
         arguments = ["--architecture", architecture, "--out", out, "--accept", "--json", *TRAINING]
         print(architecture, run("train", folder / "map", *arguments).decode(), file=sys.stderr, flush=True)
-        row(mapped, f"{architecture} CNN", evaluate(folder, "cnn", out))
+        rows(mapped, f"{architecture} CNN", evaluate(folder, "cnn", out))
 
 
 def lay_out(folder, is_known):
@@ -70,17 +71,20 @@ def lay_out(folder, is_known):
 def evaluate(folder, method, model):
     given = ["--model", model] if model else []
     answer = run("evaluate", "--reference-rows", "known=1", "--query-rows", "known=0,is_night=1", "--truth", folder / "truth.csv",
-                 "--methods", method, "--databases", "frames", "--json", *given)
-    return json.loads(answer)["experiments"][0]["results"][0]["figures"]
+                 "--methods", method, "--databases", "frames,map", "--json", *given)
+    return json.loads(answer)["experiments"][0]["results"]
 
 
 def run(*arguments):
     return subprocess.run([LOCI, *map(str, arguments)], check=True, stdout=subprocess.PIPE).stdout
 
 
-def row(mapped, name, figures):
-    cells = [ratio(figures[figure]) for figure in ("recall_at_1", "recall", "precision")]
-    print(f"| {mapped} | {name} | {figures['recall_at_1']['n']} | " + " | ".join(cells) + " |", flush=True)
+def rows(mapped, name, results):
+    for result in results:
+        figures = result["figures"]
+        cells = [mapped, name, result["database"], str(figures["recall_at_1"]["n"])]
+        cells += [ratio(figures[figure]) for figure in ("recall_at_1", "recall", "precision")]
+        print("| " + " | ".join(cells) + " |", flush=True)
 
 
 def ratio(counted):

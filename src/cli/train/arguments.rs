@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum, value_parser};
-use loci::training::{FitOptions, Loss, PaperOptions};
+use loci::training::{DeviceChoice, FitOptions, Loss, PaperOptions};
 use serde::Serialize;
 
 /// Arguments of `loci train`.
@@ -57,6 +57,9 @@ pub(in crate::cli) struct TrainArguments {
     /// In what the model computes
     #[arg(long, value_enum, default_value = "auto")]
     pub(super) precision: Precision,
+    /// What computes: cpu, cuda, cuda:NUMBER, or auto: a graphics processor if there is one and the build knows CUDA
+    #[arg(long, value_name = "DEVICE", default_value = "auto")]
+    pub(super) device: DeviceChoice,
     /// Settles every draw
     #[arg(long, value_name = "N", default_value = "0")]
     pub(super) seed: u64,

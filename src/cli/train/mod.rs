@@ -18,8 +18,9 @@ use loci::onnx::OnnxModel;
 use loci::place_map::PlaceMap;
 use loci::raster::RgbImage;
 use loci::training::{
-    Augmentation, Checkpoint, ClusterRules, Clusters, Describe, Device, Epoch, Gathered, Head, Labelled,
-    PaperCnn, Picture, Pictures, Standing, TrainingError, TrainingReport, Variation, described, varied,
+    Augmentation, Checkpoint, ClusterRules, Clusters, Describe, Device, DeviceChoice, Epoch, Gathered, Head,
+    Labelled, PaperCnn, Picture, Pictures, Standing, TrainingError, TrainingReport, Variation, described,
+    varied,
 };
 
 use self::arguments::Architecture;
@@ -41,7 +42,7 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
             return Err(WrongArgument(format!("{path} is there already; choose another --out")).into());
         }
     }
-    refuse_same_maps(&arguments.maps)?;
+    refuse_contradictions(arguments)?;
     let stop = stream::stop_flag()?;
     let maps = arguments.maps.iter().map(|folder| PlaceMap::open_read_only(folder));
     let maps = maps.collect::<Result<Vec<_>, _>>()?;
@@ -72,8 +73,8 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let page = page.html();
     save_model(folder, &mut model.card, &model.network.to_bytes(), &page)?;
     trainer.forget_checkpoint()?;
-    let results = (&model, precision, &epochs[..]);
-    let report = report::Report::new((&clusters, &pictures), results, (folder, is_accepted));
+    let (results, how) = ((&model, &epochs[..]), (precision, trainer.device.1));
+    let report = report::Report::new((&clusters, &pictures), results, how, (folder, is_accepted));
     say(&if arguments.json { serde_json::to_string(&report)? } else { report.text() })?;
     let skipped = pictures.skipped + clusters.unreadable;
     if skipped > 0 {
@@ -98,6 +99,8 @@ struct Trainer<'a> {
     /// Folder of the CNN that the new one is to take the place of.
     model: PathBuf,
     runtime: OnnxRuntime,
+    /// What trains, and what it is called.
+    device: (Device, DeviceChoice),
     variation: Variation,
     progress: Progress<'a>,
     checkpoint_path: PathBuf,
@@ -106,6 +109,7 @@ struct Trainer<'a> {
 impl<'a> Trainer<'a> {
     fn new(arguments: &'a TrainArguments, out: &Path, stop: &'a AtomicBool) -> anyhow::Result<Self> {
         let runtime = OnnxRuntime::open(arguments.onnxruntime.as_deref())?;
+        let device = arguments.device.settled()?;
         let checkpoint_path = with_ending(out, ".checkpoint");
         // Before any image is looked at.
         if let Some(parent) = out.parent() {
@@ -113,9 +117,6 @@ impl<'a> Trainer<'a> {
         }
         loci::storage::check_replaceable(&checkpoint_path)?;
         let generator = match &arguments.augment_model {
-            Some(_) if arguments.copies() == 0 => {
-                return Err(WrongArgument("--augment-model makes nothing of --augment 0".to_owned()).into());
-            }
             Some(path) => Some(RefCell::new(ImageGenerator::open(path, &runtime, 2)?)),
             None => None,
         };
@@ -125,6 +126,7 @@ impl<'a> Trainer<'a> {
             backbone: assets::find(arguments.backbone.as_deref(), assets::MODEL, "--backbone")?,
             model: assets::find(arguments.model.as_deref(), assets::MODEL, "--model")?,
             runtime,
+            device: (device.open()?, device),
             variation: Variation { augmentation, generator },
             progress: Progress::new(stop),
             checkpoint_path,
@@ -164,7 +166,7 @@ impl<'a> Trainer<'a> {
         let checkpoint = self.checkpoint(&(&options, backbone.card()), pictures)?;
         let head = self.progress.epochs(options.epochs, &checkpoint, |show| {
             let dimensions = self.arguments.dimensions();
-            Head::train(vectors, dimensions, &options, (&Device::flex(), Some(&checkpoint)), show)
+            Head::train(vectors, dimensions, &options, (&self.device.0, Some(&checkpoint)), show)
         })?;
         let network = OnnxModel::read(&fs::read(self.backbone.join(MODEL_FILE))?)?;
         let (network, card) = head.grafted((network, backbone.card()))?;
@@ -181,7 +183,7 @@ impl<'a> Trainer<'a> {
         let checkpoint = self.checkpoint(&options, pictures)?;
         let cnn = self.progress.epochs(options.fit.epochs, &checkpoint, |show| {
             let pictures = (pictures, &self.variation);
-            PaperCnn::train(pictures, classes, &options, (&Device::flex(), Some(&checkpoint)), show)
+            PaperCnn::train(pictures, classes, &options, (&self.device.0, Some(&checkpoint)), show)
         })?;
         let mut describe = |image: &RgbImage| cnn.describe(image).map(Some);
         let descriptors = self.gathered_by(pictures, options.dimensions, &mut describe)?;
@@ -230,7 +232,8 @@ impl<'a> Trainer<'a> {
         let TrainArguments { architecture, augment_model, .. } = self.arguments;
         let generator = augment_model.as_ref().map(fs::read).transpose()?;
         let generator = generator.map(|bytes| loci::storage::checksum(&bytes));
-        let arguments = (architecture, self.arguments.dimensions(), self.arguments.copies(), generator);
+        let arguments =
+            (architecture, self.arguments.dimensions(), self.arguments.copies(), generator, self.device.1);
         let what = format!("{arguments:?} {how:?} {:?} {:?}", pictures.learnt, pictures.checked);
         let checkpoint = Checkpoint::new(&self.checkpoint_path, &what);
         match checkpoint.epochs() {
@@ -270,13 +273,17 @@ impl<'a> Trainer<'a> {
     }
 }
 
-/// Each map once: its places would be told apart from themselves.
-fn refuse_same_maps(maps: &[PathBuf]) -> Result<(), WrongArgument> {
+/// Each map is named once, or its places would be told apart from themselves; and a generator has something to do.
+fn refuse_contradictions(arguments: &TrainArguments) -> Result<(), WrongArgument> {
     let mut known = BTreeSet::new();
-    match maps.iter().find(|map| !known.insert(fs::canonicalize(map).unwrap_or_else(|_| map.to_path_buf()))) {
-        Some(map) => Err(WrongArgument(format!("{} is named twice", map.display()))),
-        None => Ok(()),
+    let path = |map: &PathBuf| fs::canonicalize(map).unwrap_or_else(|_| map.clone());
+    if let Some(map) = arguments.maps.iter().find(|map| !known.insert(path(map))) {
+        return Err(WrongArgument(format!("{} is named twice", map.display())));
     }
+    if arguments.augment_model.is_some() && arguments.copies() == 0 {
+        return Err(WrongArgument("--augment-model makes nothing of --augment 0".to_owned()));
+    }
+    Ok(())
 }
 
 /// The folder's name, by which the model is called.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use loci::training::{Clusters, Epoch, Pictures, Standing, TrainedModel};
+use loci::training::{Clusters, DeviceChoice, Epoch, Pictures, Standing, TrainedModel};
 use serde::Serialize;
 
 use super::super::console::counted;
@@ -23,6 +23,8 @@ pub(super) struct Report {
     skipped: usize,
     epochs: usize,
     precision: Precision,
+    /// What trained.
+    device: String,
     held_out: StandingReport,
     held_out_before: StandingReport,
     accepted: bool,
@@ -64,7 +66,8 @@ impl StandingReport {
 impl Report {
     pub(super) fn new(
         (clusters, pictures): (&Clusters, &Pictures<'_>),
-        (model, precision, epochs): (&TrainedModel, Precision, &[Epoch]),
+        (model, epochs): (&TrainedModel, &[Epoch]),
+        (precision, device): (Precision, DeviceChoice),
         (folder, accepted): (&Path, bool),
     ) -> Self {
         Self {
@@ -76,6 +79,7 @@ impl Report {
             skipped: pictures.skipped + clusters.unreadable,
             epochs: epochs.len(),
             precision,
+            device: device.to_string(),
             held_out: (&model.standing).into(),
             held_out_before: (&model.current).into(),
             accepted,
@@ -85,12 +89,13 @@ impl Report {
 
     pub(super) fn text(&self) -> String {
         format!(
-            "held out  {}: {}\nbefore    {}\nmodel     {}, {} (its report.html says more)",
+            "held out  {}: {}\nbefore    {}\nmodel     {}, {}, trained on {} (its report.html says more)",
             counted(self.held_out.images as u64, "image"),
             self.held_out.text(),
             self.held_out_before.text(),
             self.model,
-            self.precision.as_str()
+            self.precision.as_str(),
+            self.device
         )
     }
 }

@@ -6,8 +6,9 @@
 
 use serde::Serialize;
 
-use super::proportion::{Estimate, Proportion};
+use super::estimate::Estimate;
 use super::score::rankable;
+use crate::proportion::Proportion;
 
 const BINS: usize = 10;
 

@@ -3,7 +3,7 @@
 //! The ground truth says of two frames whether they show the same place: yes, no, or (`None`) nothing. That
 //! relation need not be transitive: along a road each frame may show the place of the next.
 
-use super::proportion::Proportion;
+use crate::proportion::Proportion;
 
 /// Share of the members of `clusters` that show the same place as the most typical member of theirs: the
 /// one with which most, itself included, show the same place.

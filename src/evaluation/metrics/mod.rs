@@ -4,21 +4,21 @@
 
 mod calibration;
 mod clusters;
+mod estimate;
 mod latency;
 mod open_set;
 mod precision_recall;
-mod proportion;
 mod ranking;
 mod score;
 
 pub use calibration::{Calibration, ReliabilityBin, expected_calibration_error};
 pub use clusters::{purity, true_places};
+pub use estimate::Estimate;
 pub use latency::quantile;
 pub use open_set::auroc;
 pub use precision_recall::{
     Guess, PrecisionRecall, PrecisionRecallPoint, average_precision, recall_at_full_precision,
 };
-pub use proportion::{Estimate, Proportion};
 pub use ranking::recall_at;
 
 #[cfg(test)]
@@ -28,6 +28,7 @@ mod tests {
     use serde_json::Value;
 
     use super::*;
+    use crate::proportion::Proportion;
 
     const STORED: &str =
         include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/metrics/scikit_learn.json"));

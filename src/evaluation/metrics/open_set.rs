@@ -4,7 +4,7 @@
 //! which the known frame scores higher, ties counted half (Hanley and McNeil, 1982, "The meaning and use of
 //! the area under a receiver operating characteristic (ROC) curve").
 
-use super::proportion::Estimate;
+use super::estimate::Estimate;
 use super::score::rankable;
 
 /// The score of a frame's best candidate.

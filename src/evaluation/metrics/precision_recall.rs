@@ -7,8 +7,9 @@
 
 use serde::Serialize;
 
-use super::proportion::{Estimate, Proportion};
+use super::estimate::Estimate;
 use super::score::rankable;
+use crate::proportion::Proportion;
 
 /// Most points of a curve that a report shows.
 const MAX_POINTS: usize = 500;

@@ -1,6 +1,6 @@
 //! How high the true matches rank among the candidates: recall at N, no threshold.
 
-use super::proportion::Proportion;
+use crate::proportion::Proportion;
 
 /// Share of the known queries with a true match among their `depth` best candidates.
 ///

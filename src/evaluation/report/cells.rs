@@ -1,7 +1,8 @@
 //! Figures as text: the rows of the table of figures, one a measure, and the numbers in its cells.
 
-use crate::evaluation::metrics::{Estimate, Proportion};
+use crate::evaluation::metrics::Estimate;
 use crate::evaluation::results::{Figures, MethodResult, Report};
+use crate::proportion::Proportion;
 
 /// Stands where there is nothing to count.
 pub(super) const NOTHING: &str = "–";

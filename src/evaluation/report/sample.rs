@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 
 use crate::evaluation::definitions::DEFINITIONS;
 use crate::evaluation::metrics::{
-    Calibration, Estimate, PrecisionRecall, PrecisionRecallPoint, Proportion, ReliabilityBin,
+    Calibration, Estimate, PrecisionRecall, PrecisionRecallPoint, ReliabilityBin,
 };
 use crate::evaluation::results::{
     AnswerRecord, Asset, Baseline, Confusion, Database, Experiment, Figures, GroundTruthSummary, Header,
     ImagePair, Method, MethodResult, Mistake, PaperProtocol, Picture, PublishedRow, Report, SCHEMA,
     StageLatency, TraverseSummary,
 };
+use crate::proportion::Proportion;
 
 /// A name that would break out of any quotation that is not escaped.
 pub(super) const HOSTILE: &str = "a\"'><script>alert(1)</script>|`b` [c](x://d) \u{202e}.jpg";
