@@ -14,7 +14,7 @@ mod quantisation;
 pub use builder::{Attribute, Dimension, GraphBuilder, Value};
 pub use error::OnnxError;
 pub use model::{OPSET, OnnxModel};
-pub use quantisation::{Range, Ranges};
+pub use quantisation::{Range, Ranges, STORAGE_KEY};
 
 /// The messages of the format, as prost makes them.
 #[allow(missing_docs, unreachable_pub, clippy::all, clippy::pedantic)]

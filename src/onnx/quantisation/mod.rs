@@ -16,10 +16,12 @@ use std::collections::BTreeMap;
 use self::plan::Plan;
 use super::builder::Attribute;
 use super::error::OnnxError;
-use super::model::{OLDEST_OPSET, OnnxModel, prune};
+use super::half::QUANTISATION_STEPS;
+use super::model::{OLDEST_OPSET, OnnxModel, is_standard, prune};
+use super::proto::NodeProto;
 
-/// What is said of a quantised model under this key.
-const STORAGE_KEY: &str = "loci.storage";
+/// Key of the ONNX metadata property that says in what the weights are stored.
+pub const STORAGE_KEY: &str = "loci.storage";
 
 /// Least and greatest value that an activation takes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,6 +76,13 @@ impl OnnxModel {
         }
         model.describe(STORAGE_KEY, "int8");
         Ok(model)
+    }
+
+    /// Whether it computes in integers, be it in part, whoever quantised it.
+    #[must_use]
+    pub fn is_quantised(&self) -> bool {
+        let is_step = |node: &NodeProto| is_standard(node) && QUANTISATION_STEPS.contains(&node.op_type());
+        self.proto.graph.iter().flat_map(|graph| &graph.node).any(is_step)
     }
 
     fn plan(&self) -> Result<Plan, OnnxError> {

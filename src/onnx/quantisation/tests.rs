@@ -69,7 +69,8 @@ fn of_operator<'a>(model: &'a OnnxModel, operator: &str) -> Vec<&'a NodeProto> {
 fn layers_are_quantised_and_the_head_is_not() {
     let model = network();
     let int8 = quantised(&model).unwrap();
-    assert_eq!(int8.described("loci.storage"), Some("int8"));
+    assert_eq!(int8.described(STORAGE_KEY), Some("int8"));
+    assert!(int8.is_quantised() && !model.is_quantised() && !model.stored_as_half().is_quantised());
     for (operator, from_integers) in [("Conv", true), ("Gemm", true), ("MatMul", false)] {
         for node in of_operator(&int8, operator) {
             for number in [0, 1] {
