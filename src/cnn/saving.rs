@@ -26,7 +26,8 @@ pub fn save_model(
     // Without a slash at its end.
     let folder: &Path = &folder.components().collect::<PathBuf>();
     let error = |source| StorageError::Io { action: "write", path: folder.to_owned(), source };
-    if folder.exists() {
+    // A link that leads nowhere is something, too.
+    if folder.symlink_metadata().is_ok() {
         return Err(error(io::Error::new(
             io::ErrorKind::AlreadyExists,
             "it is there already; choose another",
@@ -51,7 +52,11 @@ pub fn save_model(
         fs::rename(beside, folder)?;
         DiskFolder::new(parent).sync()
     };
-    write().map_err(error)
+    write().map_err(|source| {
+        // What is half written is of no use, and the error tells enough.
+        let _ = fs::remove_dir_all(beside);
+        error(source)
+    })
 }
 
 #[cfg(test)]
@@ -72,5 +77,22 @@ mod tests {
         let refused = save_model(&path, &mut card, b"other", "").unwrap_err().to_string();
         assert!(refused.ends_with("site: it is there already; choose another"), "{refused}");
         assert_eq!(fs::read_dir(folder.path().join("models")).unwrap().count(), 1);
+        let dangling = folder.path().join("dangling");
+        std::os::unix::fs::symlink("nowhere", &dangling).unwrap();
+        let refused = save_model(&dangling, &mut card, b"other", "").unwrap_err().to_string();
+        assert!(refused.ends_with("dangling: it is there already; choose another"), "{refused}");
+    }
+
+    #[test]
+    fn a_model_that_cannot_be_saved_leaves_nothing_behind() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("site");
+        let mut card: ModelCard = toml::from_str(CARD).unwrap();
+        // The card's place is taken, when the network has long been written.
+        let beside = format!("site.{}{BESIDE_SUFFIX}", std::process::id());
+        fs::create_dir_all(folder.path().join(beside).join(CARD_FILE).join("taken")).unwrap();
+        let failed = save_model(&path, &mut card, b"network", "").unwrap_err().to_string();
+        assert!(failed.starts_with("cannot write ") && failed.contains("site: "), "{failed}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }
