@@ -3,13 +3,12 @@
 //! | Bytes | Field |
 //! |---|---|
 //! | 32 | header of every file of ours |
-//! | 8 | what is trained on what, and how |
+//! | 4 + 4 | length in bytes and CRC-32 of a text that says what is trained on what, how, and by which version |
 //! | 4 | number of epochs |
 //! | 24 each | their number, loss and recall, u64 and f64 |
 //! | 8 + 8 + 8 | the best one, its recall and its loss on what is only looked at |
 //! | 8 + n, three times | network, best network, optimiser, in burn's own format |
 
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 
 use burn::module::Module;
@@ -20,7 +19,7 @@ use burn::tensor::Bytes;
 use super::error::TrainingError;
 use super::fitting::{self, Epoch, Fitted, Lesson};
 use super::labelled::Glance;
-use crate::storage::{FileBytes, FileKind, HEADER_BYTES, replace_file};
+use crate::storage::{FileBytes, FileKind, HEADER_BYTES, checksum, replace_file};
 
 const KIND: FileKind = FileKind { magic: *b"LOCICKP\0", version: 1, name: "training checkpoint" };
 
@@ -48,12 +47,20 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// The checkpoint at `path` of a training that `what` describes: one of another training is not gone on with.
+    /// The checkpoint at `path` of a training that `what` describes: one of another training, or of another version of
+    /// the program, is not gone on with.
     #[must_use]
     pub fn new(path: &Path, what: &str) -> Self {
-        let mut hasher = DefaultHasher::new();
-        what.hash(&mut hasher);
-        Self { path: path.to_owned(), fingerprint: hasher.finish() }
+        let what = format!("{} {what}", env!("CARGO_PKG_VERSION"));
+        let fingerprint =
+            what.len() as u64 & u64::from(u32::MAX) | u64::from(checksum(what.as_bytes())) << 32;
+        Self { path: path.to_owned(), fingerprint }
+    }
+
+    /// Whether there is a checkpoint at `path`, of whatever training, and it is whole.
+    #[must_use]
+    pub fn is_at(path: &Path) -> bool {
+        FileBytes::map(path).is_ok_and(|file| KIND.verify(&file, path).is_ok())
     }
 
     /// Epochs that a training would go on from; 0 if there is none to go on with.

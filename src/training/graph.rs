@@ -2,6 +2,7 @@
 
 use super::error::TrainingError;
 use super::head::Head;
+use super::trained_model::of_backbone;
 use crate::cnn::{DescriptorCard, ModelCard, TrainingCard};
 use crate::onnx::{Attribute, Dimension, GraphBuilder, OnnxError, OnnxModel, Value};
 
@@ -25,10 +26,11 @@ impl Head {
         })?;
         let (name, version, sha256) = (&card.name, &card.version, &card.sha256);
         let card = ModelCard {
+            version: "1".to_owned(),
             description: format!("{name} with a head trained on {} places.", self.class_count()),
             source: format!("backbone {name} {version}, SHA-256 {sha256}"),
             descriptor: self.descriptor_card(),
-            training: TrainingCard { data: format!("The backbone: {}", card.training.data) },
+            training: TrainingCard { data: of_backbone(&card.training.data) },
             ..card.clone()
         };
         Ok((network, card))

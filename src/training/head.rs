@@ -261,7 +261,8 @@ mod tests {
         let checkpoint = Checkpoint::new(&path, "this one");
         assert_eq!(checkpoint.epochs(), 0);
         train_until(&few, Some(&checkpoint), 2).unwrap();
-        assert_eq!(checkpoint.epochs(), 2);
+        assert!(Checkpoint::is_at(&path));
+        assert_eq!((checkpoint.epochs(), Checkpoint::new(&path, "this one").epochs()), (2, 2));
         train_until(&few, Some(&checkpoint), 3).unwrap();
         assert_eq!(train_until(&few, Some(&checkpoint), usize::MAX).unwrap(), train(&few));
         // One of another training, or one that is damaged, is begun anew.
@@ -270,6 +271,7 @@ mod tests {
         let middle = damaged.len() / 2;
         damaged[middle] ^= 1;
         std::fs::write(&path, damaged).unwrap();
+        assert!(!Checkpoint::is_at(&path) && !Checkpoint::is_at(&path.join("gone")));
         assert_eq!(checkpoint.epochs(), 0);
         assert_eq!(train_until(&few, Some(&checkpoint), usize::MAX).unwrap(), train(&few));
     }

@@ -41,6 +41,6 @@ pub use paper::{Filters, PaperCnn, PaperOptions};
 pub use pictures::{Picture, Pictures};
 pub use quantisation::{Agreement, agreement, in_all_light, quantise};
 pub use report::TrainingReport;
-pub use standing::Standing;
+pub use standing::{Standing, figure};
 pub use trained_model::TrainedModel;
 pub use variation::Variation;

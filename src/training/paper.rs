@@ -436,10 +436,13 @@ mod tests {
         let path = folder.path().join("paper");
         save_model(&path, &mut card, &network.to_bytes(), "").unwrap();
         let mut opened = DescriptorModel::open(&path, &runtime, 1).unwrap();
+        let half = network.stored_as_half().to_bytes();
+        let mut half = DescriptorModel::from_onnx(&card, &half, &runtime, 1).unwrap();
         let grey = RgbImage::new(40, 30);
         for image in [image(0, &mut Pcg64::new(7, 7)), image(2, &mut Pcg64::new(8, 8)), grey] {
             let (got, expected) = (opened.describe(&image), cnn.describe(&image).unwrap());
             let got = got.unwrap();
+            assert!(got.cosine(&half.describe(&image).unwrap()) > 0.9999);
             for (got, expected) in got.as_slice().iter().zip(expected) {
                 assert!((got - expected).abs() < 1e-4, "{got} for {expected}");
             }

@@ -268,6 +268,18 @@ mod tests {
     }
 
     #[test]
+    fn a_network_agrees_with_itself_when_its_weights_are_stored_as_half() {
+        let Some(runtime) = installed_runtime() else { return };
+        let network = Toy::network(|_, _| {});
+        let half = network.clone().stored_as_half();
+        assert!(half.to_bytes().len() * 10 < network.to_bytes().len() * 7);
+        let agreement =
+            agreement(&mut opened(&network, &runtime), &mut opened(&half, &runtime), patterns(2, 30))
+                .unwrap();
+        assert!(agreement.worst_cosine > 0.9999, "{agreement:?}");
+    }
+
+    #[test]
     fn the_shipped_model_agrees_with_itself_in_8_bits_and_a_part_of_its_bytes() {
         let Some(runtime) = installed_runtime() else { return };
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/efficientnet-lite0");

@@ -9,7 +9,7 @@ use plotters::prelude::*;
 use super::clusters::Clusters;
 use super::fitting::Epoch;
 use super::pictures::Pictures;
-use super::standing::Standing;
+use super::standing::{Standing, figure};
 use super::trained_model::TrainedModel;
 
 const STYLE: &str = "body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;\
@@ -70,13 +70,13 @@ impl TrainingReport<'_> {
     fn standings(&self) -> String {
         let row = |name: &str, standing: &Standing| {
             let (low, high) = standing.recall_interval();
-            let threshold = standing.calibration.map_or(f64::NAN, |calibration| calibration.threshold);
             format!(
-                "<tr><td>{name}</td><td>{:.3} ({low:.3} to {high:.3})</td><td>{:.3}</td><td>{:.3}</td>\
-                 <td>{threshold:.3}</td></tr>\n",
+                "<tr><td>{name}</td><td>{:.3} ({low:.3} to {high:.3})</td><td>{}</td><td>{:.3}</td>\
+                 <td>{}</td></tr>\n",
                 standing.recall(),
-                standing.precision(),
-                standing.recall_at_one()
+                figure(standing.precision()),
+                standing.recall_at_one(),
+                figure(standing.calibration.map(|calibration| calibration.threshold))
             )
         };
         format!(
@@ -101,9 +101,10 @@ impl TrainingReport<'_> {
         };
         let loss = plot(("epoch", "loss"), &points(&|epoch| epoch.loss), false);
         let recall = plot(("epoch", "recall"), &points(&|epoch| epoch.recall), false);
+        let copies = if self.model.has_copies { ", copies in other light included," } else { "" };
         format!(
-            "<h2>Epochs</h2>\n{loss}{recall}<p>Recall is the share of what training only looked at, copies in other \
-             light included, whose own place is the nearest; the best epoch is kept.</p>\n"
+            "<h2>Epochs</h2>\n{loss}{recall}<p>Recall is the share of what training only looked at{copies} whose own \
+             place is the nearest; the best epoch is kept.</p>\n"
         )
     }
 

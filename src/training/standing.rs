@@ -61,11 +61,11 @@ impl Standing {
         self.share(self.nearest)
     }
 
-    /// Share of what is recognised that is so rightly; 1 of nothing.
+    /// Share of what is recognised that is so rightly; nothing where nothing is recognised.
     #[must_use]
-    pub fn precision(&self) -> f64 {
+    pub fn precision(&self) -> Option<f64> {
         let said = self.recognised + self.mistaken;
-        if said == 0 { 1.0 } else { self.recognised as f64 / said as f64 }
+        (said > 0).then(|| self.recognised as f64 / said as f64)
     }
 
     /// Between what the recall lies with 95 % confidence, by Wilson's score.
@@ -78,6 +78,12 @@ impl Standing {
     fn share(&self, count: usize) -> f64 {
         count as f64 / self.asked.max(1) as f64
     }
+}
+
+/// A figure for people: a dash where there is none.
+#[must_use]
+pub fn figure(value: Option<f64>) -> String {
+    value.map_or_else(|| "–".to_owned(), |value| format!("{value:.3}"))
 }
 
 /// Of every vector that is asked about, the greatest cosine to one of its own class, and to one of any other that is
@@ -134,7 +140,10 @@ mod tests {
         let Standing { asked, recognised, mistaken, nearest, .. } = standing;
         // 20° and 92° are; 70° and 91° are taken for others; so is 179°, of which 100° is 79° away.
         assert_eq!((asked, recognised, mistaken, nearest), (5, 2, 3, 2));
-        assert_eq!((standing.recall(), standing.recall_at_one(), standing.precision()), (0.4, 0.4, 0.4));
+        assert_eq!(
+            (standing.recall(), standing.recall_at_one(), standing.precision()),
+            (0.4, 0.4, Some(0.4))
+        );
     }
 
     #[test]
@@ -149,5 +158,6 @@ mod tests {
     fn with_too_little_to_fit_a_threshold_on_nothing_is_recognised() {
         let standing = Standing::of(&Gathered { checked: Labelled::new(2), ..gathered() }, |_, _| false);
         assert_eq!((standing.calibration, standing.recognised, standing.nearest), (None, 0, 2));
+        assert_eq!((standing.precision(), figure(standing.precision()).as_str()), (None, "–"));
     }
 }

@@ -2,12 +2,20 @@
 
 use super::clusters::{Class, Clusters};
 use super::gathering::Gathered;
-use super::standing::Standing;
-use crate::cnn::{ClassCard, DecisionCard, ModelCard, TrainingCard};
-use crate::onnx::OnnxModel;
+use super::standing::{Standing, figure};
+use crate::cnn::{ClassCard, DecisionCard, InputCard, ModelCard, TrainingCard};
+use crate::onnx::{OnnxModel, STORAGE_KEY};
 
 /// Experiences by which a class is found in another map.
 const MOST_VIEWS: usize = 8;
+
+/// What the card of every trained model says between its places and the images that the best epoch was chosen by.
+const HOW: &str =
+    " that BoW+HV and the CNN founded without labels; the best epoch chosen and the calibration fitted on ";
+/// What a card says in its place of a backbone that was trained likewise.
+const LIKEWISE: &str = ", likewise";
+/// What stands before that which a card says of a backbone.
+const BACKBONE: &str = "The backbone: ";
 
 /// Where there was too little to fit a threshold on.
 pub(super) const NOTHING_RECOGNISED: DecisionCard =
@@ -16,7 +24,7 @@ pub(super) const NOTHING_RECOGNISED: DecisionCard =
 /// A network and what is to be known of it.
 #[derive(Clone, Debug)]
 pub struct TrainedModel {
-    /// The network.
+    /// The network; its weights take half the bytes.
     pub network: OnnxModel,
     /// Its card; the network's hash is not in it yet.
     pub card: ModelCard,
@@ -24,6 +32,8 @@ pub struct TrainedModel {
     pub standing: Standing,
     /// How the model stands that it is to take the place of.
     pub current: Standing,
+    /// Whether copies in other light were learnt and looked at, too.
+    pub has_copies: bool,
 }
 
 impl TrainedModel {
@@ -36,7 +46,9 @@ impl TrainedModel {
         card: ModelCard,
         clusters: &Clusters,
         (descriptors, current): (&Gathered, Standing),
+        has_copies: bool,
     ) -> Self {
+        let copies = if has_copies { ", copies in other light included" } else { "" };
         let standing = Standing::of(descriptors, |one, other| clusters.is_near(one, other));
         let decision = standing.calibration.map(|calibration| DecisionCard {
             recognise_above: (calibration.threshold as f32).clamp(-1.0, 1.0),
@@ -48,8 +60,7 @@ impl TrainedModel {
             decision: decision.unwrap_or(NOTHING_RECOGNISED),
             training: TrainingCard {
                 data: format!(
-                    "{} images of {} places that BoW+HV and the CNN founded without labels; the best epoch chosen and \
-                     the calibration fitted on {} later ones, copies in other light included. {}",
+                    "{} images of {} places{HOW}{} later ones{copies}. {}",
                     descriptors.learnt.len(),
                     clusters.classes.len(),
                     descriptors.checked.len(),
@@ -61,7 +72,27 @@ impl TrainedModel {
             recipe: "loci train".to_owned(),
             ..card
         };
-        Self { network, card, standing, current }
+        Self { network: network.stored_as_half(), card, standing, current, has_copies }
+    }
+
+    /// Calls the model `name`, and has the network's file say for itself what the card says of it.
+    pub fn call(&mut self, name: &str) {
+        name.clone_into(&mut self.card.name);
+        let ModelCard { name, version, licence, source, recipe, input, .. } = &self.card;
+        let InputCard { width_px, height_px, mean, scale, .. } = input;
+        let preprocessing =
+            format!("RGB, stretched to {width_px} x {height_px}, (value - {mean}) * {scale}, channels first");
+        let storage = if self.network.is_quantised() { "int8" } else { "float16" };
+        let said = [
+            ("name", name.as_str()),
+            ("version", version),
+            ("licence", licence),
+            ("source", source),
+            ("recipe", recipe),
+            ("preprocessing", &preprocessing),
+            (STORAGE_KEY, storage),
+        ];
+        said.into_iter().for_each(|(key, value)| self.network.describe(key, value));
     }
 
     /// Whether the model does as well on what was held out as the one that it is to take the place of: it recognises as
@@ -74,14 +105,23 @@ impl TrainedModel {
     }
 }
 
+/// What the card of a trained model says of its backbone, whose own card says `data` of what it learnt from. Of a
+/// backbone that was trained likewise it says how many images and places, and not once more how.
+pub(super) fn of_backbone(data: &str) -> String {
+    let Some((images, rest)) = data.split_once(HOW) else { return format!("{BACKBONE}{data}") };
+    let before = rest.split_once(". ").map_or("", |(_, before)| before);
+    let before = before.strip_prefix(BACKBONE).unwrap_or(before);
+    format!("{BACKBONE}{images}{LIKEWISE}; before that: {before}")
+}
+
 /// Figures for the card.
 fn described(standing: &Standing) -> String {
     let (low, high) = standing.recall_interval();
     format!(
-        "n {}: recall {:.3} ({low:.3} to {high:.3}) at precision {:.3}; R@1 {:.3}",
+        "n {}: recall {:.3} ({low:.3} to {high:.3}) at precision {}; R@1 {:.3}",
         standing.asked,
         standing.recall(),
-        standing.precision(),
+        figure(standing.precision()),
         standing.recall_at_one()
     )
 }
@@ -128,7 +168,7 @@ mod tests {
             [input]\nname = 'image'\nwidth_px = 16\nheight_px = 16\nmean = 100.0\nscale = 0.01\n\
             [descriptor]\nname = 'descriptor'\ndimensions = 6\n\
             [decision]\nrecognise_above = 0.5\ncalibration_slope = 1.0\ncalibration_offset = 0.0\n\
-            [training]\ndata = ''\n[metrics]\n";
+            [training]\ndata = 'made up'\n[metrics]\n";
         toml::from_str(card).unwrap()
     }
 
@@ -161,7 +201,7 @@ mod tests {
         let (network, card) = head.grafted((backbone(), &card())).unwrap();
         let (descriptors, current) =
             (gathered.projected(&head.projection), Standing::of(gathered, |_, _| false));
-        TrainedModel::new(network, card, &Clusters::default(), (&descriptors, current))
+        TrainedModel::new(network, card, &Clusters::default(), (&descriptors, current), true)
     }
 
     fn trained_on(learnt: &Labelled, checked: &Labelled) -> Head {
@@ -202,6 +242,57 @@ mod tests {
     }
 
     #[test]
+    fn the_networks_file_says_of_itself_what_the_card_says_and_nothing_of_the_backbone() {
+        let gathered = gathered();
+        let head = trained_on(&gathered.learnt, &gathered.checked);
+        let mut named = backbone();
+        for (key, value) in [("name", "toy"), ("version", "7"), (STORAGE_KEY, "float32")] {
+            named.describe(key, value);
+        }
+        let backbone_card = ModelCard { version: "7".to_owned(), ..card() };
+        let (network, card) = head.grafted((named, &backbone_card)).unwrap();
+        let current = Standing::of(&gathered, |_, _| false);
+        let descriptors = gathered.projected(&head.projection);
+        let mut model =
+            TrainedModel::new(network, card, &Clusters::default(), (&descriptors, current), false);
+        model.call("site");
+        let read = OnnxModel::read(&model.network.to_bytes()).unwrap();
+        for (key, value) in [
+            ("name", "site"),
+            ("version", "1"),
+            ("licence", "MIT"),
+            ("source", "backbone toy 7, SHA-256 "),
+            ("recipe", "loci train"),
+            ("preprocessing", "RGB, stretched to 16 x 16, (value - 100) * 0.01, channels first"),
+            (STORAGE_KEY, "float16"),
+        ] {
+            assert_eq!(read.described(key), Some(value), "{key}");
+        }
+        let ModelCard { name, version, source, .. } = &model.card;
+        assert_eq!([name, version, source], ["site", "1", "backbone toy 7, SHA-256 "]);
+    }
+
+    #[test]
+    fn the_card_speaks_of_copies_where_there_were_some_and_says_once_how_a_retrained_backbone_was_trained() {
+        let (head, mut model, gathered) = trained();
+        let copies = "later ones, copies in other light included. The backbone: ";
+        assert!(model.card.training.data.contains(copies), "{}", model.card.training.data);
+        for has_copies in [false, true] {
+            let (network, card) = head.grafted((backbone(), &model.card)).unwrap();
+            let (descriptors, current) = (gathered.projected(&head.projection), model.current);
+            let clusters = Clusters::default();
+            model = TrainedModel::new(network, card, &clusters, (&descriptors, current), has_copies);
+            let data = &model.card.training.data;
+            assert_eq!(data.matches("without labels").count(), 1, "{data}");
+            assert_eq!(data.matches("The backbone").count(), 1, "{data}");
+            assert_eq!(data.contains("copies"), has_copies, "{data}");
+        }
+        let ending = "The backbone: 90 images of 0 places, likewise; before that: 90 images of 0 places, likewise; \
+                      before that: made up";
+        assert!(model.card.training.data.ends_with(ending), "{}", model.card.training.data);
+    }
+
+    #[test]
     fn a_model_trained_on_shuffled_labels_is_not_accepted() {
         let gathered = gathered();
         // Each vector is learnt as one of any class, by chance.
@@ -220,7 +311,7 @@ mod tests {
         let (network, card) = head.grafted((backbone(), &card())).unwrap();
         let descriptors = wrong.projected(&head.projection);
         let current = Standing::of(&gathered, |_, _| false);
-        let model = TrainedModel::new(network, card, &Clusters::default(), (&descriptors, current));
+        let model = TrainedModel::new(network, card, &Clusters::default(), (&descriptors, current), false);
         assert!(!model.is_accepted(), "{:?} {:?}", model.standing, model.current);
     }
 

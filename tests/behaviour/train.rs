@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use loci::feature::Features;
-use loci::onnx::{Dimension, GraphBuilder};
+use loci::onnx::{Dimension, GraphBuilder, OnnxModel, STORAGE_KEY};
 use loci::place_map::{MapOptions, NewExperience, PlaceId, PlaceMap, Traits};
 use loci::source::thumbnail_jpeg;
 use serde_json::Value;
@@ -43,6 +43,8 @@ fn a_model_is_trained_from_the_places_of_a_map_and_used_like_any_other() {
     assert!(report["held_out"]["recall_at_one"].as_f64() > Some(0.3), "{report}");
     let card = fs::read_to_string(out.join("card.toml")).unwrap();
     assert!(card.contains("name = \"site\"") && card.contains("[[class]]"), "{card}");
+    let network = OnnxModel::read(&fs::read(out.join("model.onnx")).unwrap()).unwrap();
+    assert_eq!((network.described("name"), network.described("recipe")), (Some("site"), Some("loci train")));
     let page = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("<h1>Training of site</h1>") && page.contains("<svg"), "{page}");
     assert!(!folder.path().join("site.checkpoint").exists());
@@ -71,10 +73,79 @@ fn what_makes_no_sense_is_refused_before_an_image_is_looked_at() {
     let (map, out) = ("tests/data/map/version_2", folder.path().join("site"));
     let train = |more: &[&str]| loci(&[&["train", map, "--out", text(&out)], more].concat());
     train(&[map]).assert_failed(2, &["version_2 is named twice"]);
+    train(&["--model", "none"]).assert_failed(2, &["training needs a CNN to compare with"]);
+    let no_backbone = ["--architecture", "paper", "--backbone", "models/efficientnet-lite0"];
+    train(&no_backbone).assert_failed(2, &["--architecture paper has no backbone; leave --backbone out"]);
+    train(&["--device", "cuda:999"]).assert_failed(2, &["no device cuda:999"]);
     for more in [["--dimensions", "8193"], ["--dimensions", "0"], ["--augment", "101"], ["--epochs", "0"]] {
         assert_eq!(train(&more).code, 2, "{more:?}");
     }
     assert!(!out.exists());
+    // A link that leads nowhere is there, too.
+    let aside = folder.path().join("site.rejected");
+    for link in [&aside, &out] {
+        std::os::unix::fs::symlink("nowhere", link).unwrap();
+        train(&[]).assert_failed(2, &[text(link), "is there already; choose another --out"]);
+    }
+}
+
+#[test]
+fn what_cannot_be_begun_with_is_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    map_of(&path("map"), 10, |place, _| place);
+    fs::write(path("file"), "").unwrap();
+    let nowhere = train_on(&path("map"), &path("file/site"), &[]);
+    nowhere.assert_failed(1, &["cannot make the folder ", text(&path("file"))]);
+    fs::create_dir(path("damaged")).unwrap();
+    fs::copy("models/efficientnet-lite0/card.toml", path("damaged/card.toml")).unwrap();
+    fs::write(path("damaged/model.onnx"), "other bytes").unwrap();
+    let damaged = path("damaged");
+    let out = path("site");
+    train_on(&path("map"), &out, &["--backbone", text(&damaged)])
+        .assert_failed(1, &["damaged/model.onnx: sha256 is"]);
+    // The paper's CNN asks for no backbone, only for one to compare with.
+    fs::write(path("site.checkpoint"), "junk").unwrap();
+    let paper = train_on(&path("map"), &out, &["--architecture", "paper"]);
+    paper.assert_failed(2, &["site.checkpoint is of another training, or damaged; remove it"]);
+    assert!(!out.exists());
+}
+
+#[test]
+fn a_backbone_in_8_bits_stays_in_them_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    map_of(&path("map"), 10, |place, _| place);
+    let (map, first) = (path("map"), path("first"));
+    let train = |out: &Path, more: &[&str]| {
+        let few = "--min-samples 8 --epochs 1 --augment 0 --accept --json".split(' ');
+        let given = ["train", text(&map), "--out", text(out)];
+        let arguments: Vec<&str> = given.into_iter().chain(few).chain(more.iter().copied()).collect();
+        loci(&arguments)
+    };
+    let taken = |out: &Path, more: &[&str]| -> (Value, String) {
+        let trained = train(out, more);
+        assert_eq!(trained.code, 0, "{}", trained.stderr);
+        let report: Value = serde_json::from_str(trained.stdout.trim()).unwrap();
+        (report["precision"].clone(), fs::read_to_string(out.join("card.toml")).unwrap())
+    };
+    assert_eq!(taken(&first, &["--precision", "int8"]).0, "int8");
+    for precision in ["auto", "int8"] {
+        let out = path(precision);
+        let more = ["--backbone", text(&first), "--precision", precision];
+        let (computes_in, card) = taken(&out, &more);
+        assert_eq!(computes_in, "int8", "{precision}");
+        assert_eq!(card.matches("without labels").count(), 1, "{card}");
+        let page = fs::read_to_string(out.join("report.html")).unwrap();
+        assert!([&card, &page].iter().all(|text| !text.contains("copies in other light")), "{card}");
+        let network = OnnxModel::read(&fs::read(out.join("model.onnx")).unwrap()).unwrap();
+        assert_eq!(
+            (network.described("name"), network.described(STORAGE_KEY)),
+            (Some(precision), Some("int8"))
+        );
+    }
+    let whole = train(&path("whole"), &["--backbone", text(&first), "--precision", "f32"]);
+    whole.assert_failed(2, &["first computes in 8 bits", "name another --backbone"]);
 }
 
 #[test]
@@ -140,19 +211,10 @@ fn a_model_of_places_that_are_told_apart_is_taken_and_one_of_shuffled_places_kep
     assert!(path("third/model.onnx").exists());
 }
 
-#[test]
-fn a_training_that_is_interrupted_goes_on_and_ends_in_the_same_network() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name);
-    map_of(&path("map"), 10, |place, _| place);
-    let (map, out, checkpoint) = (path("map"), path("site"), path("site.checkpoint"));
-    let arguments = |out: &Path| -> Vec<String> {
-        let few = "--min-samples 6 --epochs 200 --augment 0 --precision f32 --accept".split(' ');
-        let given = ["train", text(&map), "--out", text(out)];
-        given.into_iter().chain(few).map(str::to_owned).collect()
-    };
+/// What a training says that is interrupted as soon as there is a checkpoint.
+fn interrupted(arguments: &[String], checkpoint: &Path) -> String {
     let mut process = Command::new(env!("CARGO_BIN_EXE_loci"));
-    let process = process.args(arguments(&out)).stdout(Stdio::null()).stderr(Stdio::piped());
+    let process = process.args(arguments).stdout(Stdio::null()).stderr(Stdio::piped());
     let mut process = process.spawn().unwrap();
     while !checkpoint.exists() {
         assert!(process.try_wait().unwrap().is_none(), "it ended before it could be interrupted");
@@ -164,14 +226,47 @@ fn a_training_that_is_interrupted_goes_on_and_ends_in_the_same_network() {
     let stderr = String::from_utf8(ended.stderr).unwrap();
     assert_eq!(ended.status.code(), Some(1), "{stderr}");
     assert!(stderr.starts_with("loci: interrupted; the same command goes on with what is in "), "{stderr}");
-    assert!(!out.exists() && checkpoint.exists());
+    assert!(checkpoint.exists());
+    stderr
+}
+
+#[test]
+fn a_training_that_is_interrupted_behind_its_last_epoch_says_how_it_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    map_of(&path("map"), 10, |place, _| place);
+    let (map, out, checkpoint) = (path("map"), path("site"), path("site.checkpoint"));
+    let few = "--min-samples 6 --epochs 1 --augment 0 --precision int8 --accept".split(' ');
+    let given = ["train", text(&map), "--out", text(&out)];
+    let arguments: Vec<String> = given.into_iter().chain(few).map(str::to_owned).collect();
+    let said = interrupted(&arguments, &checkpoint);
+    assert!(said.contains("site.checkpoint") && !out.exists(), "{said}");
+    let resumed = loci(&arguments);
+    assert_eq!(resumed.code, 0, "{}", resumed.stderr);
+    assert!(resumed.stderr.contains("going on after 1 epoch"), "{}", resumed.stderr);
+}
+
+#[test]
+fn a_training_that_is_interrupted_goes_on_and_ends_in_the_same_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    map_of(&path("map"), 10, |place, _| place);
+    // Of one name, for the name is in the file.
+    let (map, out, checkpoint) = (path("map"), path("one/site"), path("one/site.checkpoint"));
+    let arguments = |out: &Path| -> Vec<String> {
+        let few = "--min-samples 6 --epochs 200 --augment 0 --precision f32 --accept".split(' ');
+        let given = ["train", text(&map), "--out", text(out)];
+        given.into_iter().chain(few).map(str::to_owned).collect()
+    };
+    interrupted(&arguments(&out), &checkpoint);
+    assert!(!out.exists());
     let resumed = loci(&arguments(&out));
     assert_eq!(resumed.code, 0, "{}", resumed.stderr);
     assert!(resumed.stderr.contains("going on after"), "{}", resumed.stderr);
-    let whole = loci(&arguments(&path("whole")));
+    let whole = loci(&arguments(&path("other/site")));
     assert!(!whole.stderr.contains("going on after"), "{}", whole.stderr);
     let network = |folder: &str| fs::read(path(folder).join("model.onnx")).unwrap();
-    assert!(network("site") == network("whole"), "the networks differ");
+    assert!(network("one/site") == network("other/site"), "the networks differ");
 }
 
 #[test]
@@ -212,8 +307,6 @@ fn the_papers_cnn_is_trained_with_a_generators_images_and_computes_in_the_precis
     }
     let bytes = |precision: &str| fs::metadata(path(precision).join("model.onnx")).unwrap().len();
     assert!(bytes("int8") < bytes("f32"), "{} {}", bytes("int8"), bytes("f32"));
-    let nowhere = train_on(&path("map"), &path("nowhere"), &["--device", "cuda:999"]);
-    nowhere.assert_failed(1, &["no device cuda:999"]);
     let (map, out) = (path("map"), path("nowhere"));
     let contrary = ["--augment-model", text(&generator), "--augment", "0"];
     let none = loci(&[&["train", text(&map), "--out", text(&out)], &contrary[..]].concat());

@@ -26,7 +26,7 @@ pub(in crate::cli) struct TrainArguments {
     /// What is trained
     #[arg(long, value_enum, default_value = "trunk")]
     pub(super) architecture: Architecture,
-    /// Folder of the CNN that the trunk is [default: models/efficientnet-lite0]
+    /// Folder of the CNN that the trunk is; one in 8 bits stays so [default: models/efficientnet-lite0]
     #[arg(long, value_name = "DIR")]
     pub(super) backbone: Option<PathBuf>,
     /// Folder of the CNN that the new one is to take the place of [default: models/efficientnet-lite0]
@@ -35,10 +35,10 @@ pub(in crate::cli) struct TrainArguments {
     /// ONNX Runtime library [default: looked for]
     #[arg(long, env = "LOCI_ONNXRUNTIME", value_name = "PATH")]
     pub(super) onnxruntime: Option<PathBuf>,
-    /// Fewest experiences of a place that is learnt
+    /// Fewest experiences of a place that is learnt; fewer than 3 count as 3
     #[arg(long, value_name = "N", default_value = "20")]
     pub(super) min_samples: NonZeroUsize,
-    /// Values of the descriptor, at most 8192
+    /// Values of the descriptor, at most 8192; of a trunk, more than those of the backbone's count as so many
     #[arg(long, value_name = "N", default_value = "256", value_parser = value_parser!(u16).range(1..=8192))]
     dimensions: u16,
     /// Times that every place is gone through [default: 30 of a trunk, 15 of the paper's]
@@ -84,7 +84,7 @@ pub(super) enum Architecture {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Precision {
-    /// int8 where that recognises as much of what is held out, give or take what chance may do; else f32
+    /// int8 where that recognises as much of what training merely looks at, give or take what chance may do; else f32
     Auto,
     /// 32 bits
     F32,

@@ -1,6 +1,7 @@
 //! `loci train`: a better CNN from the clusters that a robot made by itself.
 
 mod arguments;
+mod models;
 mod precision;
 mod progress;
 mod report;
@@ -8,41 +9,40 @@ mod report;
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::ffi::OsString;
-use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::{fs, io};
 
-use loci::cnn::{DescriptorModel, ImageGenerator, MODEL_FILE, OnnxRuntime, save_model};
-use loci::onnx::OnnxModel;
+use loci::cnn::{DescriptorModel, ImageGenerator, ModelCard, OnnxRuntime, save_model};
 use loci::place_map::PlaceMap;
 use loci::raster::RgbImage;
 use loci::training::{
     Augmentation, Checkpoint, ClusterRules, Clusters, Describe, Device, DeviceChoice, Epoch, Gathered, Head,
-    Labelled, PaperCnn, Picture, Pictures, Standing, TrainingError, TrainingReport, Variation, described,
-    varied,
+    Labelled, PaperCnn, Picture, Pictures, Standing, TrainedModel, TrainingError, TrainingReport, Variation,
+    described, varied,
 };
 
-use self::arguments::Architecture;
 pub(super) use self::arguments::TrainArguments;
+use self::arguments::{Architecture, Precision};
+use self::models::{Backbone, Models};
 use self::precision::Candidate;
 use self::progress::Progress;
 use super::console::{counted, say};
 use super::map::report_losses;
-use super::{Outcome, WrongArgument, assets, stream};
+use super::{Outcome, WrongArgument, stream};
 
 /// Trains a model and says how it fares.
 pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     // Without a slash at its end.
     let out: PathBuf = arguments.out.components().collect();
     let aside = with_ending(&out, ".rejected");
-    for path in [&out, &aside] {
-        if path.exists() {
-            let path = path.display();
-            return Err(WrongArgument(format!("{path} is there already; choose another --out")).into());
-        }
+    // A link that leads nowhere is something, too.
+    if let Some(path) = [&out, &aside].into_iter().find(|path| path.symlink_metadata().is_ok()) {
+        let path = path.display();
+        return Err(WrongArgument(format!("{path} is there already; choose another --out")).into());
     }
     refuse_contradictions(arguments)?;
+    let device = arguments.device.settled().map_err(|error| WrongArgument(error.to_string()))?;
     let stop = stream::stop_flag()?;
     let maps = arguments.maps.iter().map(|folder| PlaceMap::open_read_only(folder));
     let maps = maps.collect::<Result<Vec<_>, _>>()?;
@@ -57,16 +57,15 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     if clusters.classes.len() < 2 {
         return Err(TrainingError::TooFewClasses { classes: clusters.classes.len() }.into());
     }
-    let trainer = Trainer::new(arguments, &out, &stop)?;
+    let trainer = Trainer::new(arguments, &out, device, &stop)?;
+    let mut models = Models::open(arguments, &trainer.runtime)?;
     let images = clusters.classes.iter().map(|class| class.learnt.len() + class.held_out.len()).sum();
-    let pictures =
-        trainer.progress.images(images, "images", |show| Pictures::of(&maps, &mut clusters, show))?;
-    let current = trainer.gathered(&pictures, &mut trainer.open(&trainer.model)?)?;
-    let (candidate, epochs) =
-        trainer.train(&pictures, (&clusters, &current)).map_err(|error| trainer.with_what_is_kept(error))?;
-    let current = Standing::of(&current, |one, other| clusters.is_near(one, other));
-    let (mut model, precision) = trainer.in_precision(candidate, (&pictures, &clusters), current)?;
-    model.card.name = name_of(&out);
+    let pictures = trainer.progress.images(images, "images", |show| Pictures::of(&maps, &mut clusters, show));
+    let pictures = pictures.map_err(|error| trainer.with_what_is_kept(error.into()))?;
+    let trained = trainer.trained((&pictures, &clusters), &mut models);
+    let Trained { mut model, precision, epochs } =
+        trained.map_err(|error| trainer.with_what_is_kept(error))?;
+    model.call(&name_of(&out));
     let is_accepted = model.is_accepted() || arguments.accept;
     let folder = if is_accepted { &out } else { &aside };
     let page = TrainingReport { clusters: &clusters, pictures: &pictures, epochs: &epochs, model: &model };
@@ -91,13 +90,16 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     Ok(if is_accepted && skipped == 0 && !has_lost { Outcome::Done } else { Outcome::Lost })
 }
 
+/// What a training comes to.
+struct Trained {
+    model: TrainedModel,
+    precision: Precision,
+    epochs: Vec<Epoch>,
+}
+
 /// What trains.
 struct Trainer<'a> {
     arguments: &'a TrainArguments,
-    /// Folder of the CNN that the trunk is.
-    backbone: PathBuf,
-    /// Folder of the CNN that the new one is to take the place of.
-    model: PathBuf,
     runtime: OnnxRuntime,
     /// What trains, and what it is called.
     device: (Device, DeviceChoice),
@@ -107,15 +109,23 @@ struct Trainer<'a> {
 }
 
 impl<'a> Trainer<'a> {
-    fn new(arguments: &'a TrainArguments, out: &Path, stop: &'a AtomicBool) -> anyhow::Result<Self> {
+    fn new(
+        arguments: &'a TrainArguments,
+        out: &Path,
+        device: DeviceChoice,
+        stop: &'a AtomicBool,
+    ) -> anyhow::Result<Self> {
         let runtime = OnnxRuntime::open(arguments.onnxruntime.as_deref())?;
-        let device = arguments.device.settled()?;
         let checkpoint_path = with_ending(out, ".checkpoint");
         // Before any image is looked at.
         if let Some(parent) = out.parent() {
-            fs::create_dir_all(parent)?;
+            let refuse = |error| anyhow::anyhow!("cannot make the folder {}: {error}", parent.display());
+            fs::create_dir_all(parent).map_err(refuse)?;
         }
         loci::storage::check_replaceable(&checkpoint_path)?;
+        if checkpoint_path.exists() && !Checkpoint::is_at(&checkpoint_path) {
+            return Err(of_another_training(&checkpoint_path).into());
+        }
         let generator = match &arguments.augment_model {
             Some(path) => Some(RefCell::new(ImageGenerator::open(path, &runtime, 2)?)),
             None => None,
@@ -123,8 +133,6 @@ impl<'a> Trainer<'a> {
         let augmentation = (arguments.copies() > 0).then(Augmentation::default);
         Ok(Self {
             arguments,
-            backbone: assets::find(arguments.backbone.as_deref(), assets::MODEL, "--backbone")?,
-            model: assets::find(arguments.model.as_deref(), assets::MODEL, "--model")?,
             runtime,
             device: (device.open()?, device),
             variation: Variation { augmentation, generator },
@@ -133,43 +141,43 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    fn open(&self, folder: &Path) -> anyhow::Result<DescriptorModel> {
-        Ok(DescriptorModel::open(folder, &self.runtime, 2)?)
-    }
-
-    /// Trains a model; answers it and how every epoch went. The one that it is to take the place of says `current`.
-    fn train(
+    /// Trains a model to take the place of the one that is now.
+    fn trained(
         &self,
-        pictures: &Pictures<'_>,
-        (clusters, current): (&Clusters, &Gathered),
-    ) -> anyhow::Result<(Candidate, Vec<Epoch>)> {
-        match self.arguments.architecture {
-            Architecture::Trunk => self.train_trunk(pictures, current),
-            Architecture::Paper => self.train_paper(pictures, clusters.classes.len()),
-        }
+        (pictures, clusters): (&Pictures<'_>, &Clusters),
+        models: &mut Models,
+    ) -> anyhow::Result<Trained> {
+        let backbone = models.backbone.as_ref().map(|backbone| backbone.model.card());
+        let checkpoint = self.checkpoint(backbone, pictures)?;
+        let current = self.gathered(pictures, &mut models.current)?;
+        let (candidate, epochs) = match &mut models.backbone {
+            Some(backbone) => self.train_trunk(pictures, (backbone, &current), &checkpoint)?,
+            None => self.train_paper(pictures, clusters.classes.len(), &checkpoint)?,
+        };
+        let current = Standing::of(&current, |one, other| clusters.is_near(one, other));
+        let (model, precision) = self.in_precision(candidate, (pictures, clusters), current)?;
+        Ok(Trained { model, precision, epochs })
     }
 
+    /// Trains a head for `backbone`, and answers how every epoch went. The model that it is to take the place of says
+    /// `current`.
     fn train_trunk(
         &self,
         pictures: &Pictures<'_>,
-        current: &Gathered,
+        (backbone, current): (&mut Backbone, &Gathered),
+        checkpoint: &Checkpoint,
     ) -> anyhow::Result<(Candidate, Vec<Epoch>)> {
-        let mut backbone = self.open(&self.backbone)?;
-        let is_current = fs::canonicalize(&self.backbone)? == fs::canonicalize(&self.model)?;
-        let features = if is_current { current.clone() } else { self.gathered(pictures, &mut backbone)? };
-        let dimensions = backbone.dimensions();
-        let mut describe = |image: &RgbImage| described(&mut backbone, image);
-        let how = (dimensions, self.arguments.seed);
-        let varied = self.varied((pictures, &pictures.learnt), how, &mut describe)?;
+        let Backbone { model, network, is_current } = backbone;
+        let features = if *is_current { current.clone() } else { self.gathered(pictures, model)? };
+        let how = (model.dimensions(), self.arguments.seed);
+        let varied = self.varied((pictures, &pictures.learnt), how, &mut |image| described(model, image))?;
         let vectors = (&features.learnt.and(&varied), &features.checked);
         let options = self.arguments.fit_options();
-        let checkpoint = self.checkpoint(&(&options, backbone.card()), pictures)?;
-        let head = self.progress.epochs(options.epochs, &checkpoint, |show| {
+        let head = self.progress.epochs(options.epochs, checkpoint, |show| {
             let dimensions = self.arguments.dimensions();
-            Head::train(vectors, dimensions, &options, (&self.device.0, Some(&checkpoint)), show)
+            Head::train(vectors, dimensions, &options, (&self.device.0, Some(checkpoint)), show)
         })?;
-        let network = OnnxModel::read(&fs::read(self.backbone.join(MODEL_FILE))?)?;
-        let (network, card) = head.grafted((network, backbone.card()))?;
+        let (network, card) = head.grafted((network.clone(), model.card()))?;
         let descriptors = features.projected(&head.projection);
         Ok((Candidate { network, card, descriptors }, head.epochs))
     }
@@ -178,12 +186,12 @@ impl<'a> Trainer<'a> {
         &self,
         pictures: &Pictures<'_>,
         classes: usize,
+        checkpoint: &Checkpoint,
     ) -> anyhow::Result<(Candidate, Vec<Epoch>)> {
         let options = self.arguments.paper_options();
-        let checkpoint = self.checkpoint(&options, pictures)?;
-        let cnn = self.progress.epochs(options.fit.epochs, &checkpoint, |show| {
+        let cnn = self.progress.epochs(options.fit.epochs, checkpoint, |show| {
             let pictures = (pictures, &self.variation);
-            PaperCnn::train(pictures, classes, &options, (&self.device.0, Some(&checkpoint)), show)
+            PaperCnn::train(pictures, classes, &options, (&self.device.0, Some(checkpoint)), show)
         })?;
         let mut describe = |image: &RgbImage| cnn.describe(image).map(Some);
         let descriptors = self.gathered_by(pictures, options.dimensions, &mut describe)?;
@@ -227,21 +235,24 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// Where this training keeps what it has come to; one of another training, `how` or on what, is not gone on with.
-    fn checkpoint(&self, how: &dyn Debug, pictures: &Pictures<'_>) -> anyhow::Result<Checkpoint> {
+    /// Where this training keeps what it has come to; one of another training, on another `backbone`, otherwise or on
+    /// other images, is not gone on with.
+    fn checkpoint(
+        &self,
+        backbone: Option<&ModelCard>,
+        pictures: &Pictures<'_>,
+    ) -> anyhow::Result<Checkpoint> {
         let TrainArguments { architecture, augment_model, .. } = self.arguments;
         let generator = augment_model.as_ref().map(fs::read).transpose()?;
         let generator = generator.map(|bytes| loci::storage::checksum(&bytes));
         let arguments =
             (architecture, self.arguments.dimensions(), self.arguments.copies(), generator, self.device.1);
+        let how = (self.arguments.fit_options(), self.arguments.paper_options(), backbone);
         let what = format!("{arguments:?} {how:?} {:?} {:?}", pictures.learnt, pictures.checked);
         let checkpoint = Checkpoint::new(&self.checkpoint_path, &what);
         match checkpoint.epochs() {
             0 if self.checkpoint_path.exists() => {
-                let path = self.checkpoint_path.display();
-                let reason =
-                    format!("{path} is of another training, or damaged; remove it or choose another --out");
-                return Err(WrongArgument(reason).into());
+                return Err(of_another_training(&self.checkpoint_path).into());
             }
             0 => {}
             epochs => {
@@ -273,17 +284,38 @@ impl<'a> Trainer<'a> {
     }
 }
 
-/// Each map is named once, or its places would be told apart from themselves; and a generator has something to do.
+/// Each map is named once, or its places would be told apart from themselves; there is a CNN to compare with; and a
+/// generator and a backbone have something to do.
 fn refuse_contradictions(arguments: &TrainArguments) -> Result<(), WrongArgument> {
     let mut known = BTreeSet::new();
     let path = |map: &PathBuf| fs::canonicalize(map).unwrap_or_else(|_| map.clone());
     if let Some(map) = arguments.maps.iter().find(|map| !known.insert(path(map))) {
         return Err(WrongArgument(format!("{} is named twice", map.display())));
     }
-    if arguments.augment_model.is_some() && arguments.copies() == 0 {
-        return Err(WrongArgument("--augment-model makes nothing of --augment 0".to_owned()));
-    }
-    Ok(())
+    let is_without_cnn = arguments.model.as_deref() == Some(Path::new("none"));
+    let is_trunk = arguments.architecture == Architecture::Trunk;
+    let contradictions = [
+        (
+            is_without_cnn,
+            "training needs a CNN to compare with, and --model (or LOCI_MODEL) says none; name a folder",
+        ),
+        (
+            arguments.augment_model.is_some() && arguments.copies() == 0,
+            "--augment-model makes nothing of --augment 0",
+        ),
+        (
+            !is_trunk && arguments.backbone.is_some(),
+            "--architecture paper has no backbone; leave --backbone out",
+        ),
+    ];
+    let found = contradictions.iter().find(|(is_one, _)| *is_one);
+    found.map_or(Ok(()), |(_, reason)| Err(WrongArgument((*reason).to_owned())))
+}
+
+/// What to do where a training cannot go on with the file at `path`.
+fn of_another_training(path: &Path) -> WrongArgument {
+    let path = path.display();
+    WrongArgument(format!("{path} is of another training, or damaged; remove it or choose another --out"))
 }
 
 /// The folder's name, by which the model is called.

@@ -20,15 +20,9 @@ pub(super) struct Candidate {
     pub(super) descriptors: Gathered,
 }
 
-impl Candidate {
-    fn judged(self, clusters: &Clusters, current: Standing) -> TrainedModel {
-        TrainedModel::new(self.network, self.card, clusters, (&self.descriptors, current))
-    }
-}
-
 impl Trainer<'_> {
-    /// `candidate` in the precision that is wanted: if nothing is said, in 8 bits where that recognises as much, give
-    /// or take what chance may do.
+    /// `candidate` in the precision that is wanted: if nothing is said, in 8 bits where that recognises as much of what
+    /// training merely looks at, give or take what chance may do. One whose backbone is in 8 bits is so already.
     pub(super) fn in_precision(
         &self,
         candidate: Candidate,
@@ -36,27 +30,27 @@ impl Trainer<'_> {
         current: Standing,
     ) -> anyhow::Result<(TrainedModel, Precision)> {
         let wanted = self.arguments.precision;
+        let judged = |Candidate { network, card, descriptors }: Candidate| {
+            let has_copies = self.arguments.copies() > 0;
+            TrainedModel::new(network, card, clusters, (&descriptors, current), has_copies)
+        };
+        if candidate.network.is_quantised() {
+            return Ok((judged(candidate), Precision::Int8));
+        }
         if wanted == Precision::F32 {
-            return Ok((candidate.judged(clusters, current), Precision::F32));
+            return Ok((judged(candidate), Precision::F32));
         }
         let (int8, agreed) = match self.in_eight_bits(&candidate, pictures) {
             Ok(int8) => int8,
             Err(error) if wanted == Precision::Auto && is_unfit(&error) => {
-                return Ok((candidate.judged(clusters, current), Precision::F32));
+                return Ok((judged(candidate), Precision::F32));
             }
             Err(error) => return Err(error),
         };
-        // By what training may look at: what is held out chooses nothing.
-        let recognises_as_much = {
-            let of = |candidate: &Candidate| {
-                Standing::of(&candidate.descriptors.checked_as_held_out(), |a, b| a == b)
-            };
-            of(&int8).recall() >= of(&candidate).recall_interval().0
-        };
-        let mut int8 = int8.judged(clusters, current);
-        if wanted == Precision::Auto && !(recognises_as_much && int8.is_accepted()) {
-            return Ok((candidate.judged(clusters, current), Precision::F32));
+        if wanted == Precision::Auto && !recognises_as_much(&int8.descriptors, &candidate.descriptors) {
+            return Ok((judged(candidate), Precision::F32));
         }
+        let mut int8 = judged(int8);
         let Agreement { images, mean_cosine, worst_cosine } = agreed;
         let figures = format!("n {images}: cosine to f32 {mean_cosine:.3}, the worst {worst_cosine:.3}");
         int8.card.metrics.insert("int8".to_owned(), figures);
@@ -71,20 +65,62 @@ impl Trainer<'_> {
     ) -> anyhow::Result<(Candidate, Agreement)> {
         let Candidate { network, card, .. } = candidate;
         let images = in_all_light((pictures, &self.variation), RANGE_IMAGES, self.arguments.seed);
-        let int8 = quantise(network, card, &self.runtime, images)?;
+        let int8 = quantise(network, card, &self.runtime, self.progress.until_stopped(images))?;
         let open =
             |network: &OnnxModel| DescriptorModel::from_onnx(card, &network.to_bytes(), &self.runtime, 2);
         let (mut model, mut whole) = (open(&int8)?, open(network)?);
         let step = pictures.checked.len().div_ceil(RANGE_IMAGES).max(1);
         let images = pictures.checked.iter().step_by(step).filter_map(|&at| pictures.image(at).transpose());
-        let agreed = agreement(&mut whole, &mut model, images)?;
+        let agreed = agreement(&mut whole, &mut model, self.progress.until_stopped(images))?;
         let descriptors = self.gathered(pictures, &mut model)?;
         Ok((Candidate { network: int8, card: card.clone(), descriptors }, agreed))
     }
+}
+
+/// Whether the one recognises as much as the other, give or take what chance may do, of what training merely looks at.
+/// What is held out chooses nothing.
+fn recognises_as_much(one: &Gathered, other: &Gathered) -> bool {
+    let [one, other] = [one, other].map(|it| Standing::of(&it.checked_as_held_out(), |a, b| a == b));
+    one.recall() >= other.recall_interval().0
 }
 
 /// Whether the network itself, or a lack of images, stands in the way of 8 bits.
 fn is_unfit(error: &anyhow::Error) -> bool {
     let unfit = error.downcast_ref::<TrainingError>();
     matches!(unfit, Some(TrainingError::Onnx(OnnxError::NothingToQuantise) | TrainingError::NoImages))
+}
+
+#[cfg(test)]
+mod tests {
+    use loci::training::Labelled;
+
+    use super::*;
+
+    /// Vectors of two classes; those of every part that is `told_apart` lie with their own class, else with the other.
+    fn gathered(checked_is_told_apart: bool, held_out_is_told_apart: bool) -> Gathered {
+        let part = |count: usize, is_told_apart: bool| {
+            let mut part = Labelled::new(3);
+            for index in 0..count {
+                let class = index % 2;
+                let mut vector = [0.0, 0.0, 0.01 * index as f32];
+                vector[if is_told_apart { class } else { 1 - class }] = 1.0;
+                part.push(&vector, class);
+            }
+            part
+        };
+        Gathered {
+            learnt: part(20, true),
+            checked: part(20, checked_is_told_apart),
+            held_out: part(20, held_out_is_told_apart),
+        }
+    }
+
+    #[test]
+    fn the_precision_is_chosen_by_what_training_looks_at_whatever_becomes_of_what_is_held_out() {
+        let whole = gathered(true, true);
+        assert!(recognises_as_much(&gathered(true, true), &whole));
+        assert!(recognises_as_much(&gathered(true, false), &whole));
+        assert!(!recognises_as_much(&gathered(false, true), &whole));
+        assert!(recognises_as_much(&gathered(false, true), &gathered(false, false)));
+    }
 }

@@ -51,10 +51,41 @@ impl<'a> Progress<'a> {
             self.go_on()
         });
         bar.finish_and_clear();
-        if self.go_on().is_break() { Err(TrainingError::Interrupted) } else { done }
+        done.and_then(|done| if self.go_on().is_break() { Err(TrainingError::Interrupted) } else { Ok(done) })
+    }
+
+    /// `images` up to where the stop flag is set, and there the word that it is.
+    pub(super) fn until_stopped<T>(
+        &self,
+        images: impl Iterator<Item = Result<T, TrainingError>>,
+    ) -> impl Iterator<Item = Result<T, TrainingError>> {
+        images.map(|image| if self.go_on().is_break() { Err(TrainingError::Interrupted) } else { image })
     }
 
     fn go_on(&self) -> ControlFlow<()> {
         if self.stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn a_training_that_was_stopped_is_interrupted_and_one_that_failed_has_failed() {
+        let stop = AtomicBool::new(true);
+        let progress = Progress::new(&stop);
+        let checkpoint = Checkpoint::new(Path::new("nowhere"), "");
+        let stopped = progress.epochs(3, &checkpoint, |_| Ok(()));
+        assert!(matches!(stopped, Err(TrainingError::Interrupted)));
+        let failed = progress.epochs(3, &checkpoint, |_| Err::<(), _>(TrainingError::NotFinite { epoch: 2 }));
+        assert!(matches!(failed, Err(TrainingError::NotFinite { epoch: 2 })));
+        let mut images = progress.until_stopped([Ok(1), Ok(2)].into_iter());
+        assert!(matches!(images.next(), Some(Err(TrainingError::Interrupted))));
+        stop.store(false, Ordering::Relaxed);
+        assert!(matches!(images.next(), Some(Ok(2))));
+        assert!(matches!(progress.epochs(3, &checkpoint, |_| Ok(7)), Ok(7)));
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use loci::training::{Clusters, DeviceChoice, Epoch, Pictures, Standing, TrainedModel};
+use loci::training::{Clusters, DeviceChoice, Epoch, Pictures, Standing, TrainedModel, figure};
 use serde::Serialize;
 
 use super::super::console::counted;
@@ -38,7 +38,8 @@ struct StandingReport {
     recall: f64,
     /// 95 %, by Wilson's score.
     recall_interval: [f64; 2],
-    precision: f64,
+    /// Nothing where nothing is recognised.
+    precision: Option<f64>,
     recall_at_one: f64,
 }
 
@@ -57,9 +58,8 @@ impl From<&Standing> for StandingReport {
 impl StandingReport {
     fn text(&self) -> String {
         let Self { recall, recall_interval: [low, high], precision, recall_at_one, .. } = self;
-        format!(
-            "recall {recall:.3} ({low:.3} to {high:.3}) at precision {precision:.3}; R@1 {recall_at_one:.3}"
-        )
+        let precision = figure(*precision);
+        format!("recall {recall:.3} ({low:.3} to {high:.3}) at precision {precision}; R@1 {recall_at_one:.3}")
     }
 }
 
@@ -118,4 +118,19 @@ pub(super) fn described(clusters: &Clusters) -> String {
         text += &format!("{from:>6}–{:<4}{} {count}\n", within.end - 1, "▇".repeat(count.min(60)));
     }
     text.trim_end().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn where_nothing_is_recognised_there_is_no_precision() {
+        let nothing = Standing { asked: 9, recognised: 0, mistaken: 0, nearest: 3, calibration: None };
+        let report = StandingReport::from(&nothing);
+        assert!(report.text().contains(" at precision –; R@1 0.333"), "{}", report.text());
+        assert_eq!(serde_json::to_value(&report).unwrap()["precision"], serde_json::Value::Null);
+        let half = StandingReport::from(&Standing { recognised: 2, mistaken: 2, ..nothing });
+        assert!(half.text().contains(" at precision 0.500; "), "{}", half.text());
+    }
 }
