@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use loci::raster::RgbImage;
 use loci::source::jpeg;
 
-use crate::program::{loci, text};
+use crate::program::{loci, send, text};
 
 fn folder_with(files: &[(&str, &[u8])]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -160,8 +160,7 @@ fn a_training_that_is_interrupted_says_how_it_goes_on() {
     while fs::metadata(&unfinished).map_or(0, |file| file.len()) < 100_000 {
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
-    let interrupt = Command::new("kill").args(["-INT", &process.id().to_string()]).status().unwrap();
-    assert!(interrupt.success());
+    send("INT", &process);
     let ended = process.wait_with_output().unwrap();
     let stderr = String::from_utf8(ended.stderr).unwrap();
     assert_eq!(ended.status.code(), Some(1), "{stderr}");

@@ -10,7 +10,7 @@ use loci::storage::WriterLock;
 use serde_json::Value;
 
 use crate::map_care::{damage_keyframes, files, learn, map, tear};
-use crate::program::{Finished, finished, loci, text};
+use crate::program::{Finished, finished, loci, send, text};
 
 /// Has the CNN descriptors of a model that there is nowhere.
 const FOREIGN: &str = "tests/data/map/version_2";
@@ -235,7 +235,7 @@ fn a_merge_that_is_interrupted_leaves_nothing_behind() {
         assert!(Instant::now() < patience, "nothing is being written");
         std::thread::sleep(Duration::from_millis(1));
     }
-    assert!(Command::new("kill").args(["-TERM", &merge.id().to_string()]).status().unwrap().success());
+    send("TERM", &merge);
     let ended = merge.wait_with_output().unwrap();
     let stderr = String::from_utf8(ended.stderr).unwrap();
     assert_eq!((ended.status.code(), stderr.as_str()), (Some(1), "loci: interrupted: no map was made\n"));

@@ -14,7 +14,7 @@ use loci::raster::{GreyImage, RgbImage};
 use serde_json::Value;
 
 use crate::map_care::tear;
-use crate::program::{Finished, finished, loci, text};
+use crate::program::{Finished, finished, loci, send, text};
 
 const LOCI: &str = env!("CARGO_BIN_EXE_loci");
 /// Two laps through the same light: whatever the first one learns is known on the second.
@@ -131,7 +131,7 @@ fn run_that_loses(map: &Path, take_away: impl FnOnce()) -> Finished {
     take_away();
     // More than were on their way meanwhile.
     said.extend(lines.by_ref().take(100));
-    assert!(Command::new("kill").args(["-TERM", &run.id().to_string()]).status().unwrap().success());
+    send("TERM", &run);
     said.extend(lines);
     let mut stderr = String::new();
     run.stderr.take().unwrap().read_to_string(&mut stderr).unwrap();

@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
-use crate::program::{Finished, loci, text};
+use crate::program::{Finished, loci, send, text};
 
 const ENDLESS: &str = "synthetic:corridor?laps=500&size=160x160&frames=40";
 
@@ -59,7 +59,7 @@ fn run_under_which(model: &Path, map: &Path, deploy: impl FnOnce()) -> Finished 
         }
     }
     answered.extend(lines.by_ref().take(60));
-    assert!(Command::new("kill").args(["-TERM", &run.id().to_string()]).status().unwrap().success());
+    send("TERM", &run);
     answered.extend(lines);
     let mut stderr = String::new();
     run.stderr.take().unwrap().read_to_string(&mut stderr).unwrap();

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 
 use loci::source::{self, FrameSource};
 
-use crate::program::{Finished, loci, loci_without_runtime, text};
+use crate::program::{Finished, loci, loci_without_runtime, send, text};
 
 const FRAMES_PER_LAP: usize = 60;
 
@@ -107,8 +107,7 @@ fn sigterm_ends_a_run_with_everything_committed() {
         .unwrap();
     let mut lines = BufReader::new(program.stdout.take().unwrap()).lines();
     let first = lines.by_ref().take(5).count();
-    let signalled = Command::new("kill").args(["-TERM", &program.id().to_string()]).status().unwrap();
-    assert!(signalled.success());
+    send("TERM", &program);
     let answered = first + lines.count();
     assert_eq!(program.wait().unwrap().code(), Some(0));
     let map = &loci(&["map", "info", text(folder.path()), "--json"]).records()[0];

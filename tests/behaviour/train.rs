@@ -12,7 +12,7 @@ use loci::place_map::{MapOptions, NewExperience, PlaceId, PlaceMap, Traits};
 use loci::source::thumbnail_jpeg;
 use serde_json::Value;
 
-use crate::program::{Finished, loci, text};
+use crate::program::{Finished, loci, send, text};
 
 #[test]
 fn a_model_is_trained_from_the_places_of_a_map_and_used_like_any_other() {
@@ -211,6 +211,12 @@ fn a_model_of_places_that_are_told_apart_is_taken_and_one_of_shuffled_places_kep
     assert!(path("third/model.onnx").exists());
 }
 
+/// Arguments of a training on `map`, whatever comes of it.
+fn training_on((map, out): (&Path, &Path), more: &str) -> Vec<String> {
+    let given = ["train", text(map), "--out", text(out), "--min-samples", "6", "--augment", "0", "--accept"];
+    given.into_iter().chain(more.split(' ')).map(str::to_owned).collect()
+}
+
 /// What a training says that is interrupted as soon as there is a checkpoint.
 fn interrupted(arguments: &[String], checkpoint: &Path) -> String {
     let mut process = Command::new(env!("CARGO_BIN_EXE_loci"));
@@ -220,8 +226,7 @@ fn interrupted(arguments: &[String], checkpoint: &Path) -> String {
         assert!(process.try_wait().unwrap().is_none(), "it ended before it could be interrupted");
         std::thread::sleep(Duration::from_millis(2));
     }
-    let interrupt = Command::new("kill").args(["-INT", &process.id().to_string()]).status().unwrap();
-    assert!(interrupt.success());
+    send("INT", &process);
     let ended = process.wait_with_output().unwrap();
     let stderr = String::from_utf8(ended.stderr).unwrap();
     assert_eq!(ended.status.code(), Some(1), "{stderr}");
@@ -236,9 +241,7 @@ fn a_training_that_is_interrupted_behind_its_last_epoch_says_how_it_goes_on() {
     let path = |name: &str| folder.path().join(name);
     map_of(&path("map"), 10, |place, _| place);
     let (map, out, checkpoint) = (path("map"), path("site"), path("site.checkpoint"));
-    let few = "--min-samples 6 --epochs 1 --augment 0 --precision int8 --accept".split(' ');
-    let given = ["train", text(&map), "--out", text(&out)];
-    let arguments: Vec<String> = given.into_iter().chain(few).map(str::to_owned).collect();
+    let arguments = training_on((&map, &out), "--epochs 1 --precision int8");
     let said = interrupted(&arguments, &checkpoint);
     assert!(said.contains("site.checkpoint") && !out.exists(), "{said}");
     let resumed = loci(&arguments);
@@ -253,11 +256,7 @@ fn a_training_that_is_interrupted_goes_on_and_ends_in_the_same_network() {
     map_of(&path("map"), 10, |place, _| place);
     // Of one name, for the name is in the file.
     let (map, out, checkpoint) = (path("map"), path("one/site"), path("one/site.checkpoint"));
-    let arguments = |out: &Path| -> Vec<String> {
-        let few = "--min-samples 6 --epochs 200 --augment 0 --precision f32 --accept".split(' ');
-        let given = ["train", text(&map), "--out", text(out)];
-        given.into_iter().chain(few).map(str::to_owned).collect()
-    };
+    let arguments = |out: &Path| training_on((&map, out), "--epochs 200 --precision f32");
     interrupted(&arguments(&out), &checkpoint);
     assert!(!out.exists());
     let resumed = loci(&arguments(&out));

@@ -72,7 +72,7 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let page = page.html();
     save_model(folder, &mut model.card, &model.network.to_bytes(), &page)?;
     trainer.forget_checkpoint()?;
-    let (results, how) = ((&model, &epochs[..]), (precision, trainer.device.1));
+    let (results, how) = ((&model, &epochs[..]), (precision, trainer.device_name));
     let report = report::Report::new((&clusters, &pictures), results, how, (folder, is_accepted));
     say(&if arguments.json { serde_json::to_string(&report)? } else { report.text() })?;
     let skipped = pictures.skipped + clusters.unreadable;
@@ -101,8 +101,9 @@ struct Trained {
 struct Trainer<'a> {
     arguments: &'a TrainArguments,
     runtime: OnnxRuntime,
-    /// What trains, and what it is called.
-    device: (Device, DeviceChoice),
+    device: Device,
+    /// What it is called.
+    device_name: DeviceChoice,
     variation: Variation,
     progress: Progress<'a>,
     checkpoint_path: PathBuf,
@@ -134,7 +135,8 @@ impl<'a> Trainer<'a> {
         Ok(Self {
             arguments,
             runtime,
-            device: (device.open()?, device),
+            device: device.open()?,
+            device_name: device,
             variation: Variation { augmentation, generator },
             progress: Progress::new(stop),
             checkpoint_path,
@@ -175,7 +177,7 @@ impl<'a> Trainer<'a> {
         let options = self.arguments.fit_options();
         let head = self.progress.epochs(options.epochs, checkpoint, |show| {
             let dimensions = self.arguments.dimensions();
-            Head::train(vectors, dimensions, &options, (&self.device.0, Some(checkpoint)), show)
+            Head::train(vectors, dimensions, &options, (&self.device, Some(checkpoint)), show)
         })?;
         let (network, card) = head.grafted((network.clone(), model.card()))?;
         let descriptors = features.projected(&head.projection);
@@ -191,7 +193,7 @@ impl<'a> Trainer<'a> {
         let options = self.arguments.paper_options();
         let cnn = self.progress.epochs(options.fit.epochs, checkpoint, |show| {
             let pictures = (pictures, &self.variation);
-            PaperCnn::train(pictures, classes, &options, (&self.device.0, Some(checkpoint)), show)
+            PaperCnn::train(pictures, classes, &options, (&self.device, Some(checkpoint)), show)
         })?;
         let mut describe = |image: &RgbImage| cnn.describe(image).map(Some);
         let descriptors = self.gathered_by(pictures, options.dimensions, &mut describe)?;
@@ -246,7 +248,7 @@ impl<'a> Trainer<'a> {
         let generator = augment_model.as_ref().map(fs::read).transpose()?;
         let generator = generator.map(|bytes| loci::storage::checksum(&bytes));
         let arguments =
-            (architecture, self.arguments.dimensions(), self.arguments.copies(), generator, self.device.1);
+            (architecture, self.arguments.dimensions(), self.arguments.copies(), generator, self.device_name);
         let how = (self.arguments.fit_options(), self.arguments.paper_options(), backbone);
         let what = format!("{arguments:?} {how:?} {:?} {:?}", pictures.learnt, pictures.checked);
         let checkpoint = Checkpoint::new(&self.checkpoint_path, &what);
