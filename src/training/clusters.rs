@@ -55,11 +55,12 @@ pub struct Class {
     pub place: PlaceId,
     /// Its name, if it has one.
     pub name: Option<String>,
-    /// Numbers of the places next to it along the way, which may show the same at their borders.
+    /// Numbers of the places next to it along the way, which may show the same at their borders; of a stranger, which
+    /// may have been founded where a class is that was not recognised, also of those next to these.
     pub neighbours: Vec<PlaceId>,
-    /// What is learnt, in the order of time.
+    /// What is learnt, in the order of time; of a stranger, all there is.
     pub learnt: Vec<Sample>,
-    /// What is not, later than all that is.
+    /// What is not, later than all that is; nothing of a stranger.
     pub held_out: Vec<Sample>,
 }
 
@@ -68,16 +69,27 @@ pub struct Class {
 pub struct Clusters {
     /// The classes, by map and number.
     pub classes: Vec<Class>,
+    /// Places with too few experiences, and what of them joined no class: a model is not to take it for any.
+    pub strangers: Vec<Class>,
     /// Experiences of every place that has any, the largest first: the paper's Fig. 2.
     pub sizes: Vec<usize>,
-    /// Places with too few experiences.
-    pub small_places: usize,
     /// Experiences that tell nothing that another one of their place does not.
     pub duplicates: usize,
     /// Experiences of small places that joined a class since they were seen where it is.
     pub joined_by_pose: usize,
-    /// Experiences whose records cannot be read.
-    pub unreadable: usize,
+    /// Experiences that cannot be read.
+    pub unreadable: Vec<Unreadable>,
+    /// Experiences whose map has no image of them any more: it was given up for damage.
+    pub without_image: usize,
+}
+
+/// An experience that cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Unreadable {
+    /// Which of the maps it is in.
+    pub map: usize,
+    /// Its number there.
+    pub experience: ExperienceId,
 }
 
 /// A place's experiences that differ, in the order of time.
@@ -104,29 +116,40 @@ impl Clusters {
         let mut found = Vec::new();
         for place in map.places().filter(|place| !place.experiences.is_empty()) {
             self.sizes.push(place.experiences.len());
-            found.push(Cluster { place, samples: self.samples(map, place)? });
+            found.push(Cluster { place, samples: self.samples((index, map), place)? });
         }
         let is_large = |cluster: &Cluster<'_>| cluster.samples.len() >= rules.min_samples.max(3);
         let (mut large, small): (Vec<_>, Vec<_>) = found.into_iter().partition(is_large);
-        self.small_places += small.len();
-        self.joined_by_pose += join_by_pose(map, &mut large, &small, rules.pose_radius_metres)?;
+        let joined = join_by_pose(map, &mut large, &small, rules.pose_radius_metres)?;
+        self.joined_by_pose += joined.len();
+        let class = |place: &Place, neighbours, learnt, held_out| Class {
+            map: index,
+            place: place.id,
+            name: place.name.clone(),
+            neighbours,
+            learnt,
+            held_out,
+        };
+        self.strangers.extend(small.into_iter().map(|Cluster { place, mut samples }| {
+            samples.retain(|sample| !joined.contains(&sample.experience));
+            class(place, two_steps(map, place), samples, Vec::new())
+        }));
         self.classes.extend(large.into_iter().map(|Cluster { place, samples }| {
-            let border = border(&samples, rules.held_out_share);
-            let (learnt, held_out) = samples.split_at(border);
-            let (learnt, held_out) = (learnt.to_vec(), held_out.to_vec());
-            let neighbours = place.neighbours.iter().filter_map(|&id| Some(map.place(id)?.id)).collect();
-            Class { map: index, place: place.id, name: place.name.clone(), neighbours, learnt, held_out }
+            let (learnt, held_out) = samples.split_at(border(&samples, rules.held_out_share));
+            class(place, neighbours(map, place), learnt.to_vec(), held_out.to_vec())
         }));
         Ok(())
     }
 
     /// The experiences of a place that differ.
-    fn samples(&mut self, map: &PlaceMap, place: &Place) -> Result<Vec<Sample>, MapError> {
+    fn samples(&mut self, (index, map): (usize, &PlaceMap), place: &Place) -> Result<Vec<Sample>, MapError> {
         let mut samples: Vec<Sample> = Vec::new();
         for experience in place.experiences.iter().filter_map(|&id| map.experience(id)) {
             match map.origin(experience.id) {
                 Ok(origin) => samples.push(Sample::new(experience, origin.capture_nanos)),
-                Err(error) if error.is_damage() => self.unreadable += 1,
+                Err(error) if error.is_damage() => {
+                    self.unreadable.push(Unreadable { map: index, experience: experience.id });
+                }
                 Err(error) => return Err(error),
             }
         }
@@ -144,10 +167,18 @@ impl Clusters {
 }
 
 impl Clusters {
-    /// Whether two classes may show the same, since they are one or next to each other.
+    /// Number of experiences of strangers.
+    #[must_use]
+    pub fn stranger_count(&self) -> usize {
+        self.strangers.iter().map(|class| class.learnt.len()).sum()
+    }
+
+    /// Whether two classes may show the same, since they are one or near each other. The strangers are counted on
+    /// from the last class.
     #[must_use]
     pub fn is_near(&self, one: usize, other: usize) -> bool {
-        match (self.classes.get(one), self.classes.get(other)) {
+        let [one, other] = [one, other].map(|number| self.classes.iter().chain(&self.strangers).nth(number));
+        match (one, other) {
             (Some(one), Some(other)) => one.is_near(other),
             _ => false,
         }
@@ -193,13 +224,26 @@ pub(super) fn border(samples: &[Sample], share: f64) -> usize {
     (count.div_ceil(2)..=wanted).rev().find(begins_visit).unwrap_or(wanted)
 }
 
-/// Moves what was seen near a keyframe of a large cluster from the small ones there; answers how many that were.
+/// The places next to one along the way.
+fn neighbours(map: &PlaceMap, place: &Place) -> Vec<PlaceId> {
+    place.neighbours.iter().filter_map(|&id| Some(map.place(id)?.id)).collect()
+}
+
+/// The places next to one along the way, and those next to these.
+fn two_steps(map: &PlaceMap, place: &Place) -> Vec<PlaceId> {
+    let near = neighbours(map, place);
+    let beyond = near.iter().filter_map(|&id| map.place(id)).flat_map(|place| neighbours(map, place));
+    let all: BTreeSet<PlaceId> = near.iter().copied().chain(beyond).collect();
+    all.into_iter().collect()
+}
+
+/// Puts what was seen near a keyframe of a large cluster from the small ones there, too; answers what that is.
 fn join_by_pose(
     map: &PlaceMap,
     large: &mut [Cluster<'_>],
     small: &[Cluster<'_>],
     radius_metres: f64,
-) -> Result<usize, MapError> {
+) -> Result<BTreeSet<ExperienceId>, MapError> {
     let mut poses = Vec::new();
     for (index, cluster) in large.iter().enumerate() {
         for &id in &cluster.place.experiences {
@@ -209,11 +253,10 @@ fn join_by_pose(
             }
         }
     }
+    let (mut grown, mut joined) = (BTreeSet::new(), BTreeSet::new());
     if poses.is_empty() {
-        return Ok(0);
+        return Ok(joined);
     }
-    let mut grown = BTreeSet::new();
-    let mut joined = 0;
     for sample in small.iter().flat_map(|cluster| &cluster.samples) {
         let Some(pose) = pose_of(map, sample.experience)? else { continue };
         let near = poses.iter().filter(|(_, known)| is_same_view(known, &pose, radius_metres));
@@ -221,7 +264,7 @@ fn join_by_pose(
         if let Some(&(index, _)) = nearest {
             large[index].samples.push(Sample { is_joined: true, ..*sample });
             grown.insert(index);
-            joined += 1;
+            joined.insert(sample.experience);
         }
     }
     for index in grown {
@@ -313,7 +356,7 @@ mod tests {
         let classes: Vec<_> = found.classes.iter().map(|class| (class.map, class.place.0)).collect();
         assert_eq!(classes, [(0, 1), (1, 0)]);
         assert_eq!(found.classes[0].name.as_deref(), Some("hall"));
-        assert_eq!((found.sizes, found.small_places), (vec![30, 20, 9], 1));
+        assert_eq!((found.sizes, found.strangers.len()), (vec![30, 20, 9], 1));
     }
 
     #[test]
@@ -376,7 +419,9 @@ mod tests {
             learn(&mut map, None, &at(x, seconds));
         }
         let found = clusters(&[&map], 20);
-        assert_eq!((found.joined_by_pose, found.small_places, found.classes.len()), (2, 3, 1));
+        assert_eq!((found.joined_by_pose, found.strangers.len(), found.classes.len()), (2, 3, 1));
+        let strange: Vec<usize> = found.strangers.iter().map(|class| class.learnt.len()).collect();
+        assert_eq!(strange, [0, 0, 1], "what joined a class is no stranger to it");
         assert_eq!(found.classes[0].learnt.len() + found.classes[0].held_out.len(), 22);
         let rules = ClusterRules { pose_radius_metres: 0.6, ..ClusterRules::default() };
         assert_eq!(Clusters::of(&[&map], &rules).unwrap().joined_by_pose, 1);

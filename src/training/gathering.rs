@@ -20,6 +20,8 @@ pub struct Gathered {
     pub checked: Labelled,
     /// Of what nobody sees until the end.
     pub held_out: Labelled,
+    /// Of what is of no class, on which the calibration is fitted, too.
+    pub strangers: Labelled,
 }
 
 impl Gathered {
@@ -51,6 +53,7 @@ impl Gathered {
             learnt: of(&pictures.learnt)?,
             checked: of(&pictures.checked)?,
             held_out: of(&pictures.held_out)?,
+            strangers: of(&pictures.strangers)?,
         })
     }
 
@@ -67,7 +70,18 @@ impl Gathered {
             learnt: self.learnt.projected(matrix),
             checked: self.checked.projected(matrix),
             held_out: self.held_out.projected(matrix),
+            strangers: self.strangers.projected(matrix),
         }
+    }
+
+    /// The same, with the mean of every class in the place of all that is learnt of it: what is recognised without any
+    /// training.
+    #[must_use]
+    pub fn by_prototypes(&self) -> Self {
+        let mut learnt = Labelled::new(self.learnt.width());
+        let means = self.learnt.prototypes();
+        means.chunks_exact(learnt.width()).enumerate().for_each(|(class, mean)| learnt.push(mean, class));
+        Self { learnt, ..self.clone() }
     }
 }
 
@@ -118,5 +132,24 @@ pub(super) fn descriptor(
     match model.describe(image) {
         Err(CnnError::Degenerate { .. }) => Ok(None),
         described => described.map(Some),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prototypes_stand_in_the_place_of_what_is_learnt_and_of_nothing_else() {
+        let labelled = |vectors: &[([f32; 2], usize)]| {
+            let mut labelled = Labelled::new(2);
+            vectors.iter().for_each(|(vector, class)| labelled.push(vector, *class));
+            labelled
+        };
+        let learnt = labelled(&[([0.6, 0.8], 0), ([0.6, -0.8], 0), ([0.0, 1.0], 1)]);
+        let [checked, held_out, strangers] = [0, 1, 2].map(|class| labelled(&[([0.0, 1.0], class)]));
+        let gathered = Gathered { learnt, checked, held_out, strangers };
+        let learnt = labelled(&[([1.0, 0.0], 0), ([0.0, 1.0], 1)]);
+        assert_eq!(gathered.by_prototypes(), Gathered { learnt, ..gathered });
     }
 }

@@ -57,12 +57,13 @@ impl TrainingReport<'_> {
 
     fn verdict(&self) -> String {
         if self.model.is_accepted() {
-            "<p class=\"verdict\">It does as well on what was held out as the model that it is to take the place of: \
-             accepted.</p>\n"
+            "<p class=\"verdict\">It does as well on what was held out as the model that it is to take the place of, and \
+             as class means without any training: accepted.</p>\n"
                 .to_owned()
         } else {
             "<p class=\"verdict refused\">It does not do as well on what was held out as the model that it is to take \
-             the place of: kept aside, unless it was taken all the same.</p>\n"
+             the place of, or as class means without any training: kept aside, unless it was taken all the \
+             same.</p>\n"
                 .to_owned()
         }
     }
@@ -81,14 +82,16 @@ impl TrainingReport<'_> {
         };
         format!(
             "<h2>What was held out</h2>\n<table>\n<tr><th>{} images</th><th>recall (95 %)</th><th>precision</th>\
-             <th>R@1</th><th>threshold</th></tr>\n{}{}</table>\n\
+             <th>R@1</th><th>threshold</th></tr>\n{}{}{}</table>\n\
              <p>At least the latest fifth of every place, which no training saw. An image is recognised if the \
              nearest one that was learnt is of its place, and its cosine above the threshold; that lets one in two \
-             hundred images of other places pass among those that training only looked at. Places next to each other \
+             hundred images of other places pass among those that training only looked at and those of places with too \
+             few. Without training, the nearest class mean is taken of what the training began with. Places next to each other \
              are neither right nor wrong for each other.</p>\n",
             self.model.standing.asked,
             row("this model", &self.model.standing),
-            row("the one before", &self.model.current)
+            row("the one before", &self.model.rivals.current),
+            row("without training", &self.model.rivals.prototypes)
         )
     }
 
@@ -109,18 +112,21 @@ impl TrainingReport<'_> {
     }
 
     fn data(&self) -> String {
-        let Clusters { classes, sizes, small_places, duplicates, joined_by_pose, unreadable } = self.clusters;
+        let Clusters { classes, strangers, sizes, duplicates, joined_by_pose, unreadable, without_image } =
+            self.clusters;
         let mut data = format!(
-            "<h2>Clusters</h2>\n{}<p>{} places have enough experiences to be learnt, of {}; {small_places} have too \
-             few. {} images were learnt, {} only looked at, {} held out. {duplicates} were left out as duplicates, \
-             {joined_by_pose} joined by pose, {} could not be read.</p>\n",
+            "<h2>Clusters</h2>\n{}<p>{} places have enough experiences to be learnt, of {}; {} have too \
+             few. {} images were learnt, {} only looked at, {} held out, {} are of no class. {duplicates} were left out as duplicates, \
+             {joined_by_pose} joined by pose, {} could not be read, {without_image} have no image any more.</p>\n",
             plot(("experiences of a place", "places"), &histogram(sizes), true),
             classes.len(),
             sizes.len(),
+            strangers.len(),
             self.pictures.learnt.len(),
             self.pictures.checked.len(),
             self.pictures.held_out.len(),
-            unreadable + self.pictures.skipped
+            self.pictures.strangers.len(),
+            unreadable.len()
         );
         data += "<table>\n<tr><th>place</th><th>learnt</th><th>held out</th></tr>\n";
         for class in classes {

@@ -9,7 +9,7 @@ use crate::cnn::dot;
 use crate::proportion::Proportion;
 
 /// How a model does on what was held out, when a threshold decides that lets one in two hundred images of other places
-/// pass among those that training only looked at.
+/// pass among those that training only looked at and those of no class.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Standing {
     /// Images that were held out.
@@ -24,13 +24,22 @@ pub struct Standing {
     pub calibration: Option<Calibration>,
 }
 
+/// How those stand that a trained model must do as well as.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rivals {
+    /// The model that it is to take the place of.
+    pub current: Standing,
+    /// The class means of what the training began with: what is recognised without any.
+    pub prototypes: Standing,
+}
+
 impl Standing {
     /// How the model stands that says `gathered` of the images. Classes that are `near` each other may show the same,
     /// so neither is right or wrong for the other.
     #[must_use]
     pub fn of(gathered: &Gathered, is_near: impl Fn(usize, usize) -> bool + Sync) -> Self {
-        let Gathered { learnt, checked, held_out } = gathered;
-        let known: Vec<(f32, f32)> = best_cosines(checked, learnt, &is_near);
+        let Gathered { learnt, checked, held_out, strangers } = gathered;
+        let known: Vec<(f32, f32)> = best_cosines(&checked.and(strangers), learnt, &is_near);
         let is_there = |cosine: &f32| *cosine > f32::MIN;
         let same: Vec<f32> = known.iter().map(|&(own, _)| own).filter(is_there).collect();
         let other: Vec<f32> = known.iter().map(|&(_, other)| other).filter(is_there).collect();
@@ -47,6 +56,15 @@ impl Standing {
             nearest: count(&|own, other| own > other),
             calibration,
         }
+    }
+
+    /// Whether a model that stands like this does as well as one that stands like `other`: it recognises as much, what it
+    /// mistakes taken off, and more than it mistakes.
+    #[must_use]
+    pub fn is_as_good_as(&self, other: &Self) -> bool {
+        let balance = |standing: &Self| standing.recognised as i64 - standing.mistaken as i64;
+        let (own, others) = (balance(self), balance(other));
+        own > 0 && own >= others && self.recognised >= other.recognised
     }
 
     /// Share of what was held out that is recognised; 0 of nothing.
@@ -129,6 +147,7 @@ mod tests {
             // The nearest of any other class lies 80° off, so does the threshold.
             checked: labelled(&[(10.0, 0)]),
             held_out: labelled(&[(20.0, 0), (179.0, 0), (70.0, 0), (92.0, 1), (91.0, 2)]),
+            strangers: Labelled::new(2),
         }
     }
 
@@ -152,6 +171,35 @@ mod tests {
         let standing = Standing::of(&gathered(), near);
         // 91° is of class 2 and lies nearer to class 1, next to it.
         assert_eq!((standing.recognised, standing.mistaken), (3, 2));
+    }
+
+    #[test]
+    fn what_is_of_no_class_raises_the_threshold_unless_it_is_near_to_the_one_it_is_like() {
+        // 60° off class 0 and 30° off class 1.
+        let strangers = labelled(&[(60.0, 3)]);
+        let gathered = Gathered { strangers, ..gathered() };
+        let cosine = |degrees: f64| degrees.to_radians().cos();
+        let threshold = |is_near: fn(usize, usize) -> bool| {
+            Standing::of(&gathered, is_near).calibration.unwrap().threshold
+        };
+        assert!((threshold(|_, _| false) - cosine(30.0)).abs() < 1e-6);
+        assert!((threshold(|one, other| one + other == 4) - cosine(40.0)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn as_good_is_who_recognises_as_much_and_mistakes_no_more() {
+        let standing = |recognised, mistaken| Standing {
+            asked: 9,
+            recognised,
+            mistaken,
+            nearest: recognised,
+            calibration: None,
+        };
+        assert!(standing(5, 1).is_as_good_as(&standing(5, 1)));
+        assert!(standing(6, 2).is_as_good_as(&standing(5, 1)));
+        assert!(!standing(6, 3).is_as_good_as(&standing(5, 1)), "more mistakes than it recognises more");
+        assert!(!standing(4, 0).is_as_good_as(&standing(5, 1)), "less is recognised");
+        assert!(!standing(3, 3).is_as_good_as(&standing(0, 0)), "nothing to rely on");
     }
 
     #[test]

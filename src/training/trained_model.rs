@@ -2,7 +2,7 @@
 
 use super::clusters::{Class, Clusters};
 use super::gathering::Gathered;
-use super::standing::{Standing, figure};
+use super::standing::{Rivals, Standing, figure};
 use crate::cnn::{ClassCard, DecisionCard, InputCard, ModelCard, TrainingCard};
 use crate::onnx::{OnnxModel, STORAGE_KEY};
 
@@ -30,49 +30,59 @@ pub struct TrainedModel {
     pub card: ModelCard,
     /// How it stands on what was held out.
     pub standing: Standing,
-    /// How the model stands that it is to take the place of.
-    pub current: Standing,
+    /// How those stand that it must do as well as.
+    pub rivals: Rivals,
     /// Whether copies in other light were learnt and looked at, too.
     pub has_copies: bool,
 }
 
 impl TrainedModel {
-    /// The model of `network`, which says `descriptors` of the images of `clusters`; the one that it is to take the
-    /// place of stands like `current`. `card` tells what the network is; decision, classes and figures are put into
-    /// it.
+    /// The model of `network`, which says `descriptors` of the images of `clusters` and must do as well as its `rivals`.
+    /// `card` tells what the network is; decision, classes and figures are put into it.
     #[must_use]
     pub fn new(
         network: OnnxModel,
         card: ModelCard,
         clusters: &Clusters,
-        (descriptors, current): (&Gathered, Standing),
+        (descriptors, rivals): (&Gathered, Rivals),
         has_copies: bool,
     ) -> Self {
         let copies = if has_copies { ", copies in other light included" } else { "" };
+        let strangers = match descriptors.strangers.len() {
+            0 => String::new(),
+            count => format!(", and {count} of smaller places"),
+        };
         let standing = Standing::of(descriptors, |one, other| clusters.is_near(one, other));
         let decision = standing.calibration.map(|calibration| DecisionCard {
             recognise_above: (calibration.threshold as f32).clamp(-1.0, 1.0),
             calibration_slope: calibration.slope as f32,
             calibration_offset: calibration.offset as f32,
         });
-        let metrics = [("held_out", described(&standing)), ("held_out_before", described(&current))];
+        let metrics = [
+            ("held_out", &standing),
+            ("held_out_before", &rivals.current),
+            ("held_out_untrained", &rivals.prototypes),
+        ];
         let card = ModelCard {
             decision: decision.unwrap_or(NOTHING_RECOGNISED),
             training: TrainingCard {
                 data: format!(
-                    "{} images of {} places{HOW}{} later ones{copies}. {}",
+                    "{} images of {} places{HOW}{} later ones{copies}{strangers}. {}",
                     descriptors.learnt.len(),
                     clusters.classes.len(),
                     descriptors.checked.len(),
                     card.training.data
                 ),
             },
-            metrics: metrics.into_iter().map(|(name, figures)| (name.to_owned(), figures)).collect(),
+            metrics: metrics
+                .into_iter()
+                .map(|(name, standing)| (name.to_owned(), described(standing)))
+                .collect(),
             classes: clusters.classes.iter().map(class_card).collect(),
             recipe: "loci train".to_owned(),
             ..card
         };
-        Self { network: network.stored_as_half(), card, standing, current, has_copies }
+        Self { network: network.stored_as_half(), card, standing, rivals, has_copies }
     }
 
     /// Calls the model `name`, and has the network's file say for itself what the card says of it.
@@ -95,13 +105,12 @@ impl TrainedModel {
         said.into_iter().for_each(|(key, value)| self.network.describe(key, value));
     }
 
-    /// Whether the model does as well on what was held out as the one that it is to take the place of: it recognises as
-    /// much, what it mistakes taken off, and more than it mistakes.
+    /// Whether the model does as well on what was held out as the one that it is to take the place of, and as class
+    /// means without any training.
     #[must_use]
     pub fn is_accepted(&self) -> bool {
-        let balance = |standing: &Standing| standing.recognised as i64 - standing.mistaken as i64;
-        let (own, before) = (balance(&self.standing), balance(&self.current));
-        own > 0 && own >= before && self.standing.recognised >= self.current.recognised
+        let Rivals { current, prototypes } = &self.rivals;
+        [current, prototypes].into_iter().all(|rival| self.standing.is_as_good_as(rival))
     }
 }
 
@@ -194,14 +203,18 @@ mod tests {
         });
         let [learnt, checked, held_out] =
             parts.each_mut().map(|part| std::mem::replace(part, Labelled::new(WIDTH)));
-        Gathered { learnt, checked, held_out }
+        Gathered { learnt, checked, held_out, strangers: Labelled::new(WIDTH) }
+    }
+
+    fn rivals(gathered: &Gathered) -> Rivals {
+        let standing = |gathered: &Gathered| Standing::of(gathered, |_, _| false);
+        Rivals { current: standing(gathered), prototypes: standing(&gathered.by_prototypes()) }
     }
 
     fn model_of(head: &Head, gathered: &Gathered) -> TrainedModel {
         let (network, card) = head.grafted((backbone(), &card())).unwrap();
-        let (descriptors, current) =
-            (gathered.projected(&head.projection), Standing::of(gathered, |_, _| false));
-        TrainedModel::new(network, card, &Clusters::default(), (&descriptors, current), true)
+        let descriptors = gathered.projected(&head.projection);
+        TrainedModel::new(network, card, &Clusters::default(), (&descriptors, rivals(gathered)), true)
     }
 
     fn trained_on(learnt: &Labelled, checked: &Labelled) -> Head {
@@ -251,10 +264,8 @@ mod tests {
         }
         let backbone_card = ModelCard { version: "7".to_owned(), ..card() };
         let (network, card) = head.grafted((named, &backbone_card)).unwrap();
-        let current = Standing::of(&gathered, |_, _| false);
-        let descriptors = gathered.projected(&head.projection);
-        let mut model =
-            TrainedModel::new(network, card, &Clusters::default(), (&descriptors, current), false);
+        let descriptors = (&gathered.projected(&head.projection), rivals(&gathered));
+        let mut model = TrainedModel::new(network, card, &Clusters::default(), descriptors, false);
         model.call("site");
         let read = OnnxModel::read(&model.network.to_bytes()).unwrap();
         for (key, value) in [
@@ -279,9 +290,8 @@ mod tests {
         assert!(model.card.training.data.contains(copies), "{}", model.card.training.data);
         for has_copies in [false, true] {
             let (network, card) = head.grafted((backbone(), &model.card)).unwrap();
-            let (descriptors, current) = (gathered.projected(&head.projection), model.current);
-            let clusters = Clusters::default();
-            model = TrainedModel::new(network, card, &clusters, (&descriptors, current), has_copies);
+            let descriptors = (&gathered.projected(&head.projection), model.rivals);
+            model = TrainedModel::new(network, card, &Clusters::default(), descriptors, has_copies);
             let data = &model.card.training.data;
             assert_eq!(data.matches("without labels").count(), 1, "{data}");
             assert_eq!(data.matches("The backbone").count(), 1, "{data}");
@@ -309,25 +319,21 @@ mod tests {
         let head = trained_on(&learnt, &gathered.checked);
         // Judged by what it would know of the places: what it was taught.
         let (network, card) = head.grafted((backbone(), &card())).unwrap();
-        let descriptors = wrong.projected(&head.projection);
-        let current = Standing::of(&gathered, |_, _| false);
-        let model = TrainedModel::new(network, card, &Clusters::default(), (&descriptors, current), false);
-        assert!(!model.is_accepted(), "{:?} {:?}", model.standing, model.current);
+        let descriptors = (&wrong.projected(&head.projection), rivals(&gathered));
+        let model = TrainedModel::new(network, card, &Clusters::default(), descriptors, false);
+        assert!(!model.is_accepted(), "{:?} {:?}", model.standing, model.rivals);
     }
 
     #[test]
-    fn a_model_that_recognises_nothing_is_not_accepted_even_where_the_one_before_does_neither() {
+    fn a_model_is_accepted_that_does_as_well_as_the_one_before_and_as_class_means_without_training() {
         let (_, model, _) = trained();
-        let nothing = Standing { recognised: 0, mistaken: 0, ..model.standing };
-        let blind = TrainedModel { standing: nothing, current: nothing, ..model.clone() };
-        assert!(!blind.is_accepted());
-        let as_good = TrainedModel { current: model.standing, ..model.clone() };
-        assert!(as_good.standing.recognised > 0 && as_good.is_accepted());
-        // Neither where it is wrong more often than right, nor where it is wrong more often than the one before.
-        let wild = Standing { recognised: 3, mistaken: 4, ..nothing };
-        assert!(!TrainedModel { standing: wild, current: wild, ..model.clone() }.is_accepted());
-        let surer = Standing { recognised: 20, mistaken: 1, ..nothing };
-        let bolder = Standing { recognised: 22, mistaken: 5, ..nothing };
-        assert!(!TrainedModel { standing: bolder, current: surer, ..model }.is_accepted());
+        let standing = |recognised| Standing { recognised, mistaken: 0, ..model.standing };
+        let is_accepted = |own, before, untrained| {
+            let rivals = Rivals { current: standing(before), prototypes: standing(untrained) };
+            TrainedModel { standing: standing(own), rivals, ..model.clone() }.is_accepted()
+        };
+        assert!(is_accepted(20, 20, 20));
+        assert!(!is_accepted(20, 21, 20) && !is_accepted(20, 20, 21));
+        assert!(!is_accepted(0, 0, 0));
     }
 }

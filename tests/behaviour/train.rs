@@ -7,6 +7,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use loci::feature::Features;
+use loci::frame::Frame;
 use loci::onnx::{Dimension, GraphBuilder, OnnxModel, STORAGE_KEY};
 use loci::place_map::{MapOptions, NewExperience, PlaceId, PlaceMap, Traits};
 use loci::source::thumbnail_jpeg;
@@ -162,6 +163,16 @@ fn a_map_without_two_places_to_tell_apart_trains_nothing() {
 /// Looks at the same four places of a street, lap after lap, as experiences of the place that `place_of` says, in a map
 /// in `folder`.
 fn map_of(folder: &Path, laps: u64, place_of: impl Fn(u64, u64) -> u64) {
+    map_with(folder, laps, place_of, |frame| thumbnail_jpeg(&frame.colour));
+}
+
+/// The same, with the image that `jpeg_of` makes of each frame.
+fn map_with(
+    folder: &Path,
+    laps: u64,
+    place_of: impl Fn(u64, u64) -> u64,
+    jpeg_of: impl Fn(&Frame) -> Vec<u8>,
+) {
     let spec = format!("synthetic:street?laps={laps}&frames=4&size=224x168&seed=3");
     let mut source = loci::source::open(&spec, None).unwrap();
     let mut map = PlaceMap::open(folder, MapOptions::default()).unwrap();
@@ -176,7 +187,7 @@ fn map_of(folder: &Path, laps: u64, place_of: impl Fn(u64, u64) -> u64) {
             // No two are the same.
             view: frame.index + 1,
             mean_luminance: 100.0,
-            thumbnail_jpeg: &thumbnail_jpeg(&frame.colour),
+            thumbnail_jpeg: &jpeg_of(&frame),
             keyframe: known.is_none().then_some((&features, &traits)),
         };
         founded.insert(place, map.learn(known, &new).unwrap().place);
@@ -209,6 +220,27 @@ fn a_model_of_places_that_are_told_apart_is_taken_and_one_of_shuffled_places_kep
     assert_eq!(insisted.code, 0, "{}", insisted.stderr);
     assert!(insisted.stderr.contains("taken all the same"), "{}", insisted.stderr);
     assert!(path("third/model.onnx").exists());
+}
+
+#[test]
+fn an_image_that_cannot_be_read_ends_the_training_by_number_unless_it_is_to_be_skipped() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let jpeg_of = |frame: &Frame| match frame.index {
+        13 | 21 => b"no JPEG".to_vec(),
+        _ => thumbnail_jpeg(&frame.colour),
+    };
+    map_with(&path("map"), 12, |place, _| place, jpeg_of);
+    let ended = train_on(&path("map"), &path("site"), &[]);
+    ended.assert_failed(
+        1,
+        &["2 experiences cannot be read", "number ", text(&path("map")), "--skip-unreadable"],
+    );
+    assert!(!path("site").exists() && !path("site.rejected").exists());
+    let skipped = train_on(&path("map"), &path("site"), &["--skip-unreadable", "--accept"]);
+    assert_eq!(skipped.code, 3, "{}", skipped.stderr);
+    assert!(skipped.stderr.contains("skipped: 2 experiences, for they cannot be read"), "{}", skipped.stderr);
+    assert!(path("site/model.onnx").exists());
 }
 
 /// Arguments of a training on `map`, whatever comes of it.

@@ -13,8 +13,8 @@ use serde::Serialize;
     loci train maps/hall maps/yard --out models/site2 --min-samples 30 --epochs 50\n  \
     loci train maps/site --architecture paper --out models/site-paper\n\n\
     The places of the maps are the classes. At least the latest fifth of every place is held out: a model that does \
-    not do as well on it as the one that it is to take the place of is kept aside, in OUT.rejected. The exit code is \
-    3 then, and where something could not be read. A training that is interrupted goes on with the same command. \
+    not do as well on it as the one that it is to take the place of, or as class means without any training, is kept \
+    aside, in OUT.rejected. The exit code is 3 then, and where something was skipped. A training that is interrupted goes on with the same command. \
     Places of several maps are told apart: merge maps of one site first.")]
 pub(in crate::cli) struct TrainArguments {
     /// Folders of maps
@@ -63,9 +63,12 @@ pub(in crate::cli) struct TrainArguments {
     /// Settles every draw
     #[arg(long, value_name = "N", default_value = "0")]
     pub(super) seed: u64,
-    /// Take the model even where it does not do as well as the one that it is to take the place of
+    /// Take the model even where it does not do as well as what it is compared with
     #[arg(long)]
     pub(super) accept: bool,
+    /// Leave out experiences that cannot be read; without it they end the training
+    #[arg(long)]
+    pub(super) skip_unreadable: bool,
     /// Print JSON
     #[arg(long)]
     pub(super) json: bool,

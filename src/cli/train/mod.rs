@@ -18,8 +18,8 @@ use loci::place_map::PlaceMap;
 use loci::raster::RgbImage;
 use loci::training::{
     Augmentation, Checkpoint, ClusterRules, Clusters, Describe, Device, DeviceChoice, Epoch, Gathered, Head,
-    Labelled, PaperCnn, Picture, Pictures, Standing, TrainedModel, TrainingError, TrainingReport, Variation,
-    described, varied,
+    Labelled, PaperCnn, Picture, Pictures, Rivals, Standing, TrainedModel, TrainingError, TrainingReport,
+    Unreadable, Variation, described, varied,
 };
 
 pub(super) use self::arguments::TrainArguments;
@@ -59,9 +59,11 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     }
     let trainer = Trainer::new(arguments, &out, device, &stop)?;
     let mut models = Models::open(arguments, &trainer.runtime)?;
-    let images = clusters.classes.iter().map(|class| class.learnt.len() + class.held_out.len()).sum();
+    let images: usize = clusters.classes.iter().map(|class| class.learnt.len() + class.held_out.len()).sum();
+    let images = images + clusters.stranger_count().min(images);
     let pictures = trainer.progress.images(images, "images", |show| Pictures::of(&maps, &mut clusters, show));
     let pictures = pictures.map_err(|error| trainer.with_what_is_kept(error.into()))?;
+    refuse_unreadable(arguments, &clusters.unreadable)?;
     let trained = trainer.trained((&pictures, &clusters), &mut models);
     let Trained { mut model, precision, epochs } =
         trained.map_err(|error| trainer.with_what_is_kept(error))?;
@@ -75,19 +77,12 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let (results, how) = ((&model, &epochs[..]), (precision, trainer.device_name));
     let report = report::Report::new((&clusters, &pictures), results, how, (folder, is_accepted));
     say(&if arguments.json { serde_json::to_string(&report)? } else { report.text() })?;
-    let skipped = pictures.skipped + clusters.unreadable;
-    if skipped > 0 {
-        eprintln!("loci: skipped: {}, for they cannot be read", counted(skipped as u64, "image"));
-    }
+    report::report_left_out(&clusters);
     if !model.is_accepted() {
-        let (aside, out) = (aside.display(), out.display());
-        let advice = match arguments.accept {
-            true => "taken all the same".to_owned(),
-            false => format!("kept aside; `mv {aside} {out}` takes it all the same"),
-        };
-        eprintln!("loci: the model does not do as well on what was held out as the one before: {advice}");
+        report::report_refusal(&model, (&out, &aside), arguments.accept);
     }
-    Ok(if is_accepted && skipped == 0 && !has_lost { Outcome::Done } else { Outcome::Lost })
+    let is_whole = clusters.unreadable.is_empty() && !has_lost;
+    Ok(if is_accepted && is_whole { Outcome::Done } else { Outcome::Lost })
 }
 
 /// What a training comes to.
@@ -152,25 +147,29 @@ impl<'a> Trainer<'a> {
         let backbone = models.backbone.as_ref().map(|backbone| backbone.model.card());
         let checkpoint = self.checkpoint(backbone, pictures)?;
         let current = self.gathered(pictures, &mut models.current)?;
+        // What the training begins with; the paper's CNN begins with nothing.
+        let features = match &mut models.backbone {
+            Some(Backbone { model, is_current: false, .. }) => &self.gathered(pictures, model)?,
+            _ => &current,
+        };
+        let standing = |gathered| Standing::of(gathered, |one, other| clusters.is_near(one, other));
+        let rivals = Rivals { current: standing(&current), prototypes: standing(&features.by_prototypes()) };
         let (candidate, epochs) = match &mut models.backbone {
-            Some(backbone) => self.train_trunk(pictures, (backbone, &current), &checkpoint)?,
+            Some(backbone) => self.train_trunk(pictures, (backbone, features), &checkpoint)?,
             None => self.train_paper(pictures, clusters.classes.len(), &checkpoint)?,
         };
-        let current = Standing::of(&current, |one, other| clusters.is_near(one, other));
-        let (model, precision) = self.in_precision(candidate, (pictures, clusters), current)?;
+        let (model, precision) = self.in_precision(candidate, (pictures, clusters), rivals)?;
         Ok(Trained { model, precision, epochs })
     }
 
-    /// Trains a head for `backbone`, and answers how every epoch went. The model that it is to take the place of says
-    /// `current`.
+    /// Trains a head for `backbone`, which says `features` of all images, and answers how every epoch went.
     fn train_trunk(
         &self,
         pictures: &Pictures<'_>,
-        (backbone, current): (&mut Backbone, &Gathered),
+        (backbone, features): (&mut Backbone, &Gathered),
         checkpoint: &Checkpoint,
     ) -> anyhow::Result<(Candidate, Vec<Epoch>)> {
-        let Backbone { model, network, is_current } = backbone;
-        let features = if *is_current { current.clone() } else { self.gathered(pictures, model)? };
+        let Backbone { model, network, .. } = backbone;
         let how = (model.dimensions(), self.arguments.seed);
         let varied = self.varied((pictures, &pictures.learnt), how, &mut |image| described(model, image))?;
         let vectors = (&features.learnt.and(&varied), &features.checked);
@@ -312,6 +311,17 @@ fn refuse_contradictions(arguments: &TrainArguments) -> Result<(), WrongArgument
     ];
     let found = contradictions.iter().find(|(is_one, _)| *is_one);
     found.map_or(Ok(()), |(_, reason)| Err(WrongArgument((*reason).to_owned())))
+}
+
+/// A training does not go on without what it was to learn, unless that is wanted.
+fn refuse_unreadable(arguments: &TrainArguments, unreadable: &[Unreadable]) -> anyhow::Result<()> {
+    let Some(first) = unreadable.first().filter(|_| !arguments.skip_unreadable) else { return Ok(()) };
+    let (count, map) = (counted(unreadable.len() as u64, "experience"), arguments.maps[first.map].display());
+    anyhow::bail!(
+        "{count} cannot be read, the first is number {} of {map}: see loci map verify; --skip-unreadable goes on \
+         without",
+        first.experience.0
+    )
 }
 
 /// What to do where a training cannot go on with the file at `path`.

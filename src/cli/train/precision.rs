@@ -3,8 +3,8 @@
 use loci::cnn::{DescriptorModel, ModelCard};
 use loci::onnx::{OnnxError, OnnxModel};
 use loci::training::{
-    Agreement, Clusters, Gathered, Pictures, Standing, TrainedModel, TrainingError, agreement, in_all_light,
-    quantise,
+    Agreement, Clusters, Gathered, Pictures, Rivals, Standing, TrainedModel, TrainingError, agreement,
+    in_all_light, quantise,
 };
 
 use super::Trainer;
@@ -27,12 +27,12 @@ impl Trainer<'_> {
         &self,
         candidate: Candidate,
         (pictures, clusters): (&Pictures<'_>, &Clusters),
-        current: Standing,
+        rivals: Rivals,
     ) -> anyhow::Result<(TrainedModel, Precision)> {
         let wanted = self.arguments.precision;
         let judged = |Candidate { network, card, descriptors }: Candidate| {
             let has_copies = self.arguments.copies() > 0;
-            TrainedModel::new(network, card, clusters, (&descriptors, current), has_copies)
+            TrainedModel::new(network, card, clusters, (&descriptors, rivals), has_copies)
         };
         if candidate.network.is_quantised() {
             return Ok((judged(candidate), Precision::Int8));
@@ -112,6 +112,7 @@ mod tests {
             learnt: part(20, true),
             checked: part(20, checked_is_told_apart),
             held_out: part(20, held_out_is_told_apart),
+            strangers: Labelled::new(3),
         }
     }
 

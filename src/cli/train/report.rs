@@ -21,12 +21,15 @@ pub(super) struct Report {
     duplicates: usize,
     joined_by_pose: usize,
     skipped: usize,
+    without_image: usize,
     epochs: usize,
     precision: Precision,
     /// What trained.
     device: String,
     held_out: StandingReport,
     held_out_before: StandingReport,
+    /// The class means of what the training began with.
+    held_out_untrained: StandingReport,
     accepted: bool,
     model: String,
 }
@@ -73,15 +76,17 @@ impl Report {
         Self {
             classes: clusters.classes.len(),
             images: pictures.learnt.len() + pictures.checked.len(),
-            small_places: clusters.small_places,
+            small_places: clusters.strangers.len(),
             duplicates: clusters.duplicates,
             joined_by_pose: clusters.joined_by_pose,
-            skipped: pictures.skipped + clusters.unreadable,
+            skipped: clusters.unreadable.len(),
+            without_image: clusters.without_image,
             epochs: epochs.len(),
             precision,
             device: device.to_string(),
             held_out: (&model.standing).into(),
-            held_out_before: (&model.current).into(),
+            held_out_before: (&model.rivals.current).into(),
+            held_out_untrained: (&model.rivals.prototypes).into(),
             accepted,
             model: folder.display().to_string(),
         }
@@ -89,15 +94,42 @@ impl Report {
 
     pub(super) fn text(&self) -> String {
         format!(
-            "held out  {}: {}\nbefore    {}\nmodel     {}, {}, trained on {} (its report.html says more)",
+            "held out  {}: {}\nbefore    {}\nuntrained {}\nmodel     {}, {}, trained on {} (its report.html says more)",
             counted(self.held_out.images as u64, "image"),
             self.held_out.text(),
             self.held_out_before.text(),
+            self.held_out_untrained.text(),
             self.model,
             self.precision.as_str(),
             self.device
         )
     }
+}
+
+/// Says what was left out since there is nothing to see of it.
+pub(super) fn report_left_out(clusters: &Clusters) {
+    if clusters.without_image > 0 {
+        let count = counted(clusters.without_image as u64, "experience");
+        eprintln!("loci: left out: {count}, whose image the map gave up before");
+    }
+    if !clusters.unreadable.is_empty() {
+        let count = counted(clusters.unreadable.len() as u64, "experience");
+        eprintln!("loci: skipped: {count}, for they cannot be read");
+    }
+}
+
+/// Says that `model` is not as good as it must be, and what became of it.
+pub(super) fn report_refusal(model: &TrainedModel, (out, aside): (&Path, &Path), is_taken: bool) {
+    let (aside, out) = (aside.display(), out.display());
+    let advice = match is_taken {
+        true => "taken all the same".to_owned(),
+        false => format!("kept aside; `mv {aside} {out}` takes it all the same"),
+    };
+    let rival = match model.standing.is_as_good_as(&model.rivals.current) {
+        true => "class means without any training",
+        false => "the one before",
+    };
+    eprintln!("loci: the model does not do as well on what was held out as {rival}: {advice}");
 }
 
 /// Classes, what was left out, and the sizes of the clusters as a histogram: the paper's Fig. 2.
@@ -107,7 +139,7 @@ pub(super) fn described(clusters: &Clusters) -> String {
     let mut text = format!("classes   {classes} of {places} places, {}\n", counted(images as u64, "image"));
     text += &format!(
         "left out  {} with too few, {}; {} joined by pose\n",
-        counted(clusters.small_places as u64, "place"),
+        counted(clusters.strangers.len() as u64, "place"),
         counted(clusters.duplicates as u64, "duplicate"),
         clusters.joined_by_pose
     );
