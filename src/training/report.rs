@@ -57,8 +57,8 @@ impl TrainingReport<'_> {
 
     fn verdict(&self) -> String {
         if self.model.is_accepted() {
-            "<p class=\"verdict\">It does as well on what was held out as the model that it is to take the place of, and \
-             as class means without any training: accepted.</p>\n"
+            "<p class=\"verdict\">It does as well on what was held out as the model that it is to take the place of, \
+             and as class means without any training: accepted.</p>\n"
                 .to_owned()
         } else {
             "<p class=\"verdict refused\">It does not do as well on what was held out as the model that it is to take \

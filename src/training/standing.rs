@@ -58,8 +58,8 @@ impl Standing {
         }
     }
 
-    /// Whether a model that stands like this does as well as one that stands like `other`: it recognises as much, what it
-    /// mistakes taken off, and more than it mistakes.
+    /// Whether a model that stands like this does as well as one that stands like `other`: it recognises as much, what
+    /// it mistakes taken off, and more than it mistakes.
     #[must_use]
     pub fn is_as_good_as(&self, other: &Self) -> bool {
         let balance = |standing: &Self| standing.recognised as i64 - standing.mistaken as i64;

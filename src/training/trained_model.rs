@@ -37,8 +37,8 @@ pub struct TrainedModel {
 }
 
 impl TrainedModel {
-    /// The model of `network`, which says `descriptors` of the images of `clusters` and must do as well as its `rivals`.
-    /// `card` tells what the network is; decision, classes and figures are put into it.
+    /// The model of `network`, which says `descriptors` of the images of `clusters` and must do as well as its
+    /// `rivals`. `card` tells what the network is; decision, classes and figures are put into it.
     #[must_use]
     pub fn new(
         network: OnnxModel,

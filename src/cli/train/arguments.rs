@@ -14,8 +14,8 @@ use serde::Serialize;
     loci train maps/site --architecture paper --out models/site-paper\n\n\
     The places of the maps are the classes. At least the latest fifth of every place is held out: a model that does \
     not do as well on it as the one that it is to take the place of, or as class means without any training, is kept \
-    aside, in OUT.rejected. The exit code is 3 then, and where something was skipped. A training that is interrupted goes on with the same command. \
-    Places of several maps are told apart: merge maps of one site first.")]
+    aside, in OUT.rejected. The exit code is 3 then, and where something was skipped. A training that is interrupted \
+    goes on with the same command. Places of several maps are told apart: merge maps of one site first.")]
 pub(in crate::cli) struct TrainArguments {
     /// Folders of maps
     #[arg(required = true, value_name = "MAP")]
