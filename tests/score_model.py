@@ -109,7 +109,7 @@ def score(task, descriptors, decision):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--model", type=Path, default=Path(__file__).parent / build.NAME, help="folder of model.onnx and card.toml")
+    parser.add_argument("--model", type=Path, default=Path(build.__file__).parent / build.NAME, help="folder of model.onnx and card.toml")
     parser.add_argument("--data", type=Path, default=os.environ.get("LOCI_DATA"), help="folder of the sequences; default: LOCI_DATA")
     arguments = parser.parse_args()
     if arguments.data is None:

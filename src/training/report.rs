@@ -86,8 +86,8 @@ impl TrainingReport<'_> {
              <p>At least the latest fifth of every place, which no training saw. An image is recognised if the \
              nearest one that was learnt is of its place, and its cosine above the threshold; that lets one in two \
              hundred images of other places pass among those that training only looked at and those of places with too \
-             few. Without training, the nearest class mean is taken of what the training began with. Places next to each other \
-             are neither right nor wrong for each other.</p>\n",
+             few. Without training, the nearest class mean is taken of what the training began with. Places next to \
+             each other are neither right nor wrong for each other.</p>\n",
             self.model.standing.asked,
             row("this model", &self.model.standing),
             row("the one before", &self.model.rivals.current),
@@ -115,8 +115,8 @@ impl TrainingReport<'_> {
         let Clusters { classes, strangers, sizes, duplicates, joined_by_pose, unreadable, without_image } =
             self.clusters;
         let mut data = format!(
-            "<h2>Clusters</h2>\n{}<p>{} places have enough experiences to be learnt, of {}; {} have too \
-             few. {} images were learnt, {} only looked at, {} held out, {} are of no class. {duplicates} were left out as duplicates, \
+            "<h2>Clusters</h2>\n{}<p>{} places have enough experiences to be learnt, of {}; {} have too few. {} images were \
+             learnt, {} only looked at, {} held out, {} are of no class. {duplicates} were left out as duplicates, \
              {joined_by_pose} joined by pose, {} could not be read, {without_image} have no image any more.</p>\n",
             plot(("experiences of a place", "places"), &histogram(sizes), true),
             classes.len(),
