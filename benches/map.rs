@@ -22,7 +22,7 @@ use rand_pcg::Pcg64;
 const KEYFRAMES: u64 = 50_000;
 const KEYFRAMES_A_PLACE: u64 = 5;
 const FEATURES: usize = 256;
-const DESCRIPTOR_DIMENSIONS: usize = 512;
+const DESCRIPTOR_DIMENSIONS: usize = 256;
 const VOCABULARY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/vocab/default.lvoc");
 
 fn frame(index: u64) -> Frame {
