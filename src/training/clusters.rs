@@ -1,7 +1,7 @@
 //! The classes: places of one or more maps that have enough experiences (the paper's section III.B), each parted by
 //! time into what is learnt and what is held out.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::frame::Pose;
 use crate::place_map::{Experience, ExperienceId, MapError, Place, PlaceId, PlaceMap};
@@ -55,13 +55,24 @@ pub struct Class {
     pub place: PlaceId,
     /// Its name, if it has one.
     pub name: Option<String>,
-    /// Numbers of the places next to it along the way, which may show the same at their borders; of a stranger, which
-    /// may have been founded where a class is that was not recognised, also of those next to these.
+    /// Numbers of the places next to it along the way, which may show the same at their borders.
     pub neighbours: Vec<PlaceId>,
-    /// What is learnt, in the order of time; of a stranger, all there is.
+    /// What is learnt, in the order of time.
     pub learnt: Vec<Sample>,
-    /// What is not, later than all that is; nothing of a stranger.
+    /// What is not, later than all that is.
     pub held_out: Vec<Sample>,
+}
+
+/// A place with too few experiences to be learnt: a model is not to take it for any class.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stranger {
+    /// Which of the maps it is of.
+    pub map: usize,
+    /// Numbers of the places within two steps along the way: it may have been founded where one of them was not
+    /// recognised.
+    pub near: Vec<PlaceId>,
+    /// Its experiences that joined no class, in the order of time.
+    pub samples: Vec<Sample>,
 }
 
 /// The classes that maps hold, and what was left out.
@@ -69,8 +80,8 @@ pub struct Class {
 pub struct Clusters {
     /// The classes, by map and number.
     pub classes: Vec<Class>,
-    /// Places with too few experiences, and what of them joined no class: a model is not to take it for any.
-    pub strangers: Vec<Class>,
+    /// Places with too few experiences.
+    pub strangers: Vec<Stranger>,
     /// Experiences of every place that has any, the largest first: the paper's Fig. 2.
     pub sizes: Vec<usize>,
     /// Experiences that tell nothing that another one of their place does not.
@@ -84,7 +95,7 @@ pub struct Clusters {
 }
 
 /// An experience that cannot be read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Unreadable {
     /// Which of the maps it is in.
     pub map: usize,
@@ -122,21 +133,16 @@ impl Clusters {
         let (mut large, small): (Vec<_>, Vec<_>) = found.into_iter().partition(is_large);
         let joined = join_by_pose(map, &mut large, &small, rules.pose_radius_metres)?;
         self.joined_by_pose += joined.len();
-        let class = |place: &Place, neighbours, learnt, held_out| Class {
-            map: index,
-            place: place.id,
-            name: place.name.clone(),
-            neighbours,
-            learnt,
-            held_out,
-        };
+        let ways = Ways::of(map);
         self.strangers.extend(small.into_iter().map(|Cluster { place, mut samples }| {
             samples.retain(|sample| !joined.contains(&sample.experience));
-            class(place, two_steps(map, place), samples, Vec::new())
+            Stranger { map: index, near: ways.within_two_steps(place.id), samples }
         }));
         self.classes.extend(large.into_iter().map(|Cluster { place, samples }| {
             let (learnt, held_out) = samples.split_at(border(&samples, rules.held_out_share));
-            class(place, neighbours(map, place), learnt.to_vec(), held_out.to_vec())
+            let (learnt, held_out) = (learnt.to_vec(), held_out.to_vec());
+            let neighbours = ways.next_to(place.id).collect();
+            Class { map: index, place: place.id, name: place.name.clone(), neighbours, learnt, held_out }
         }));
         Ok(())
     }
@@ -170,17 +176,17 @@ impl Clusters {
     /// Number of experiences of strangers.
     #[must_use]
     pub fn stranger_count(&self) -> usize {
-        self.strangers.iter().map(|class| class.learnt.len()).sum()
+        self.strangers.iter().map(|stranger| stranger.samples.len()).sum()
     }
 
-    /// Whether two classes may show the same, since they are one or near each other. The strangers are counted on
-    /// from the last class.
+    /// Whether a class, or a stranger, may show the same as a class, since they are one or near each other. Strangers
+    /// are counted on from the last class.
     #[must_use]
-    pub fn is_near(&self, one: usize, other: usize) -> bool {
-        let [one, other] = [one, other].map(|number| self.classes.iter().chain(&self.strangers).nth(number));
-        match (one, other) {
-            (Some(one), Some(other)) => one.is_near(other),
-            _ => false,
+    pub fn is_near(&self, one: usize, class: usize) -> bool {
+        let Some(class) = self.classes.get(class) else { return false };
+        match self.classes.get(one) {
+            Some(one) => one.is_near(class),
+            None => self.strangers.get(one - self.classes.len()).is_some_and(|one| one.is_near(class)),
         }
     }
 }
@@ -188,8 +194,14 @@ impl Clusters {
 impl Class {
     /// Whether `other` may show the same as this one, since they are one or next to each other.
     fn is_near(&self, other: &Self) -> bool {
-        let is_next = |one: &Self, other: &Self| one.neighbours.contains(&other.place);
-        self.map == other.map && (self.place == other.place || is_next(self, other) || is_next(other, self))
+        self.map == other.map && (self.place == other.place || self.neighbours.contains(&other.place))
+    }
+}
+
+impl Stranger {
+    /// Whether it may show the same as `class`.
+    fn is_near(&self, class: &Class) -> bool {
+        self.map == class.map && self.near.contains(&class.place)
     }
 }
 
@@ -224,17 +236,30 @@ pub(super) fn border(samples: &[Sample], share: f64) -> usize {
     (count.div_ceil(2)..=wanted).rev().find(begins_visit).unwrap_or(wanted)
 }
 
-/// The places next to one along the way.
-fn neighbours(map: &PlaceMap, place: &Place) -> Vec<PlaceId> {
-    place.neighbours.iter().filter_map(|&id| Some(map.place(id)?.id)).collect()
-}
+/// Which places are next to each other along the way, whichever of them knows of it: a place remembers few.
+struct Ways(BTreeMap<PlaceId, BTreeSet<PlaceId>>);
 
-/// The places next to one along the way, and those next to these.
-fn two_steps(map: &PlaceMap, place: &Place) -> Vec<PlaceId> {
-    let near = neighbours(map, place);
-    let beyond = near.iter().filter_map(|&id| map.place(id)).flat_map(|place| neighbours(map, place));
-    let all: BTreeSet<PlaceId> = near.iter().copied().chain(beyond).collect();
-    all.into_iter().collect()
+impl Ways {
+    fn of(map: &PlaceMap) -> Self {
+        let mut ways: BTreeMap<PlaceId, BTreeSet<PlaceId>> = BTreeMap::new();
+        for place in map.places() {
+            for neighbour in place.neighbours.iter().filter_map(|&id| map.place(id)) {
+                ways.entry(place.id).or_default().insert(neighbour.id);
+                ways.entry(neighbour.id).or_default().insert(place.id);
+            }
+        }
+        Self(ways)
+    }
+
+    fn next_to(&self, place: PlaceId) -> impl Iterator<Item = PlaceId> + use<'_> {
+        self.0.get(&place).into_iter().flatten().copied()
+    }
+
+    fn within_two_steps(&self, place: PlaceId) -> Vec<PlaceId> {
+        let near: BTreeSet<PlaceId> = self.next_to(place).collect();
+        let beyond = near.iter().flat_map(|&next| self.next_to(next));
+        near.iter().copied().chain(beyond).collect::<BTreeSet<_>>().into_iter().collect()
+    }
 }
 
 /// Puts what was seen near a keyframe of a large cluster from the small ones there, too; answers what that is.
@@ -420,11 +445,27 @@ mod tests {
         }
         let found = clusters(&[&map], 20);
         assert_eq!((found.joined_by_pose, found.strangers.len(), found.classes.len()), (2, 3, 1));
-        let strange: Vec<usize> = found.strangers.iter().map(|class| class.learnt.len()).collect();
+        let strange: Vec<usize> = found.strangers.iter().map(|one| one.samples.len()).collect();
         assert_eq!(strange, [0, 0, 1], "what joined a class is no stranger to it");
         assert_eq!(found.classes[0].learnt.len() + found.classes[0].held_out.len(), 22);
         let rules = ClusterRules { pose_radius_metres: 0.6, ..ClusterRules::default() };
         assert_eq!(Clusters::of(&[&map], &rules).unwrap().joined_by_pose, 1);
+    }
+
+    #[test]
+    fn places_two_steps_along_the_way_are_near_to_a_stranger_and_only_the_next_ones_to_a_class() {
+        let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
+        // One after the other along the way; the fourth and the last are small.
+        for (index, count) in [20, 20, 20, 2, 20, 2].into_iter().enumerate() {
+            visited(&mut map, None, 100 * index as i64, count);
+        }
+        let found = clusters(&[&map, &map], 20);
+        assert_eq!((found.classes.len(), found.strangers.len()), (8, 4));
+        let near_to =
+            |number: usize| -> Vec<usize> { (0..8).filter(|&class| found.is_near(number, class)).collect() };
+        assert_eq!([0, 1, 2, 3].map(near_to), [vec![0, 1], vec![0, 1, 2], vec![1, 2], vec![3]]);
+        assert_eq!([8, 9, 10].map(near_to), [vec![1, 2, 3], vec![3], vec![5, 6, 7]]);
+        assert!(!found.is_near(0, 8) && !found.is_near(99, 0));
     }
 
     #[test]

@@ -16,6 +16,9 @@ pub enum TrainingError {
         /// How many there are.
         classes: usize,
     },
+    /// There is nothing to judge a model by.
+    #[error("no image is held out to judge a model by; a training needs some that can be read")]
+    NothingHeldOut,
     /// There is nothing to see how large activations become, or how far two models agree.
     #[error("not one image that can be looked at; a quantisation needs some of the place")]
     NoImages,

@@ -38,9 +38,7 @@ impl Gathered {
         let mut of = |part: &[Picture]| {
             let mut labelled = Labelled::new(width);
             for &picture in part {
-                if let Some(image) = pictures.image(picture)?
-                    && let Some(vector) = describe(&image)?
-                {
+                if let Some(vector) = describe(&pictures.image(picture)?)? {
                     labelled.push(&vector, picture.class);
                 }
                 if progress().is_break() {
@@ -99,7 +97,7 @@ pub fn varied(
 ) -> Result<Labelled, TrainingError> {
     let mut labelled = Labelled::new(width);
     for (number, &picture) in part.iter().enumerate() {
-        let Some(image) = pictures.image(picture)? else { continue };
+        let image = pictures.image(picture)?;
         let mut random = Pcg64::new(u128::from(seed), number as u128);
         for _ in 0..copies {
             if let Some(vector) = describe(&variation.vary(&image, &mut random)?)? {

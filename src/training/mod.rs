@@ -30,7 +30,7 @@ pub use augmentation::Augmentation;
 pub use burn::tensor::Device;
 pub use calibration::Calibration;
 pub use checkpoint::Checkpoint;
-pub use clusters::{Class, ClusterRules, Clusters, Sample, Unreadable};
+pub use clusters::{Class, ClusterRules, Clusters, Sample, Stranger, Unreadable};
 pub use device::DeviceChoice;
 pub use error::TrainingError;
 pub use fitting::{Epoch, FitOptions, Loss, Step};

@@ -36,8 +36,8 @@ pub struct Pictures<'a> {
     pub checked: Vec<Picture>,
     /// What nobody sees until the end.
     pub held_out: Vec<Picture>,
-    /// What is of no class, from all places with too few experiences alike, no more than training looks at: it shows
-    /// which cosines mean nothing.
+    /// What is of no class, as evenly of all places with too few experiences as there is of them, no more than training
+    /// looks at: it shows which cosines mean nothing.
     pub strangers: Vec<Picture>,
 }
 
@@ -56,9 +56,9 @@ impl<'a> Pictures<'a> {
         let (learnt, checked, held_out) = (Vec::new(), Vec::new(), Vec::new());
         let mut pictures = Self { maps, learnt, checked, held_out, strangers: Vec::new() };
         for class in std::mem::take(&mut clusters.classes) {
-            let at = (class.map, clusters.classes.len());
+            let of_map = (class.map, clusters.classes.len());
             let (learnt, checked) = class.learnt.split_at(border(&class.learnt, CHECKED_SHARE));
-            let mut readable = |samples: &[Sample]| pictures.readable(samples, at, clusters, progress);
+            let mut readable = |samples: &[Sample]| pictures.readable(samples, of_map, clusters, progress);
             let (learnt, checked, held_out) =
                 (readable(learnt)?, readable(checked)?, readable(&class.held_out)?);
             // Without a learnt image there is no class, whatever else there is of it.
@@ -73,21 +73,22 @@ impl<'a> Pictures<'a> {
         Ok(pictures)
     }
 
-    /// Some images of the strangers of `clusters`.
+    /// Images of strangers: the first of each, the second of each and so on, as many as are looked at.
     fn strangers_of(
         &self,
         clusters: &mut Clusters,
         progress: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Vec<Picture>, TrainingError> {
-        let behind = clusters.classes.len();
-        let all = clusters.strangers.iter().enumerate().flat_map(|(index, class)| {
-            class.learnt.iter().map(move |&sample| (sample, (class.map, behind + index)))
-        });
-        let step = clusters.stranger_count().div_ceil(self.checked.len().max(1)).max(1);
-        let some: Vec<_> = all.step_by(step).collect();
+        let mut ranked = Vec::new();
+        for (index, stranger) in clusters.strangers.iter().enumerate() {
+            let of_map = (stranger.map, clusters.classes.len() + index);
+            ranked.extend(stranger.samples.iter().enumerate().map(|(rank, &sample)| (rank, of_map, sample)));
+        }
+        ranked.sort_by_key(|&(rank, of_map, _)| (rank, of_map));
+        ranked.truncate(self.checked.len());
         let mut strangers = Vec::new();
-        for (sample, at) in some {
-            strangers.extend(self.readable(&[sample], at, clusters, progress)?);
+        for (_, of_map, sample) in ranked {
+            strangers.extend(self.readable(&[sample], of_map, clusters, progress)?);
         }
         Ok(strangers)
     }
@@ -117,6 +118,15 @@ impl<'a> Pictures<'a> {
         Ok(readable)
     }
 
+    /// How many images of `clusters` are tried at most.
+    #[must_use]
+    pub fn most_of(clusters: &Clusters) -> usize {
+        let of_classes = clusters.classes.iter().map(|class| class.learnt.len() + class.held_out.len());
+        let checked =
+            clusters.classes.iter().map(|class| class.learnt.len() - border(&class.learnt, CHECKED_SHARE));
+        of_classes.sum::<usize>() + clusters.stranger_count().min(checked.sum())
+    }
+
     /// Number of images.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -129,13 +139,14 @@ impl<'a> Pictures<'a> {
         self.len() == 0
     }
 
-    /// The image of `picture`; nothing if there is none that can be read.
+    /// The image of `picture`.
     ///
     /// # Errors
-    /// If the medium fails.
-    pub fn image(&self, picture: Picture) -> Result<Option<RgbImage>, TrainingError> {
+    /// [`TrainingError::ImageGone`], or if the medium fails.
+    pub fn image(&self, picture: Picture) -> Result<RgbImage, TrainingError> {
         let jpeg = self.jpeg(picture.map, picture.experience)?;
-        Ok(jpeg.and_then(|jpeg| source::decode(&jpeg, "thumbnail").ok()))
+        let image = jpeg.and_then(|jpeg| source::decode(&jpeg, "thumbnail").ok());
+        image.ok_or(TrainingError::ImageGone)
     }
 
     /// The bytes of an experience's thumbnail, of which there may be none; nothing if they cannot be read.
@@ -157,11 +168,11 @@ mod tests {
     use crate::source::thumbnail_jpeg;
     use crate::training::ClusterRules;
 
-    /// A map of places that were seen so many times each, every time with `jpeg` as its image.
-    fn map(sizes: &[usize], jpeg: &[u8]) -> PlaceMap {
+    /// A map of places that were seen so many times each; their images are what `jpeg_of` says of the place.
+    fn map<'a>(sizes: &[usize], jpeg_of: impl Fn(usize) -> &'a [u8]) -> PlaceMap {
         let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
         let (features, traits) = (Features::default(), Traits::default());
-        for &size in sizes {
+        for (index, &size) in sizes.iter().enumerate() {
             let mut place: Option<PlaceId> = None;
             for time in 0..size {
                 let frame = Frame {
@@ -178,7 +189,7 @@ mod tests {
                     frame: &frame,
                     view: 0,
                     mean_luminance: 100.0,
-                    thumbnail_jpeg: jpeg,
+                    thumbnail_jpeg: jpeg_of(index),
                     keyframe: place.is_none().then_some((&features, &traits)),
                 };
                 place = Some(map.learn(place, &new).unwrap().place);
@@ -198,28 +209,42 @@ mod tests {
 
     #[test]
     fn strangers_are_of_all_small_places_numbered_behind_the_classes_and_no_more_than_what_is_looked_at() {
-        let map = map(&[20, 3, 25, 9, 5], &thumbnail_jpeg(&RgbImage::new(64, 64)));
-        pictured(&map, |clusters, pictures| {
+        let jpeg = thumbnail_jpeg(&RgbImage::new(64, 64));
+        pictured(&map(&[20, 3, 25, 9, 5], |_| &jpeg), |clusters, pictures| {
             assert_eq!((clusters.classes.len(), clusters.stranger_count()), (2, 17));
             let numbers: Vec<usize> = pictures.strangers.iter().map(|picture| picture.class).collect();
-            assert_eq!((pictures.checked.len(), numbers), (8, vec![2, 3, 3, 3, 4, 4]));
-            assert_eq!(pictures.len(), 45 + 6);
+            assert_eq!((pictures.checked.len(), numbers), (8, vec![2, 3, 4, 2, 3, 4, 2, 3]));
+            assert_eq!((pictures.len(), Pictures::most_of(clusters)), (45 + 8, 45 + 8));
         });
     }
 
     #[test]
     fn an_image_that_the_map_gave_up_is_missing_and_not_unreadable() {
-        pictured(&map(&[10], b""), |clusters, pictures| {
+        pictured(&map(&[10], |_| b""), |clusters, pictures| {
             assert_eq!((pictures.len(), clusters.without_image, &clusters.unreadable[..]), (0, 10, &[][..]));
         });
     }
 
     #[test]
     fn images_that_cannot_be_decoded_are_told_by_number_and_a_class_without_any_is_none() {
-        pictured(&map(&[10, 2], b"no JPEG"), |clusters, pictures| {
+        pictured(&map(&[10, 2], |_| b"no JPEG"), |clusters, pictures| {
             assert!(clusters.classes.is_empty() && pictures.is_empty());
             let numbers: Vec<u32> = clusters.unreadable.iter().map(|it| it.experience.0).collect();
-            assert_eq!(numbers, (0..=10).collect::<Vec<_>>(), "ten of the class, one of the two strangers");
+            assert_eq!(numbers, (0..10).collect::<Vec<_>>(), "of strangers no more than what is looked at");
+        });
+    }
+
+    #[test]
+    fn strangers_are_numbered_behind_the_classes_that_have_images() {
+        let jpeg = thumbnail_jpeg(&RgbImage::new(64, 64));
+        let jpeg_of = |place| if place == 1 { &b"no JPEG"[..] } else { &jpeg };
+        pictured(&map(&[20, 20, 2, 20], jpeg_of), |clusters, pictures| {
+            let places: Vec<u32> = clusters.classes.iter().map(|class| class.place.0).collect();
+            assert_eq!((places, clusters.unreadable.len()), (vec![0, 3], 20));
+            assert!(pictures.held_out.iter().any(|picture| picture.class == 1));
+            assert!(pictures.strangers.iter().all(|picture| picture.class == 2), "{:?}", pictures.strangers);
+            // Along the way from place 0 to place 3; place 0 is two steps away.
+            assert!(clusters.is_near(2, 0) && clusters.is_near(2, 1));
         });
     }
 }

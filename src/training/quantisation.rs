@@ -43,10 +43,10 @@ pub fn in_all_light<'a>(
 ) -> impl Iterator<Item = Result<RgbImage, TrainingError>> + 'a {
     let step = pictures.learnt.len().div_ceil(count.max(1)).max(1);
     let mut random = Pcg64::new(u128::from(seed), u128::MAX);
-    pictures.learnt.iter().step_by(step).enumerate().filter_map(move |(number, &picture)| {
-        let image = pictures.image(picture).transpose()?;
+    pictures.learnt.iter().step_by(step).enumerate().map(move |(number, &picture)| {
+        let image = pictures.image(picture);
         let vary = |image: RgbImage| variation.vary(&image, &mut random);
-        Some(if number % 2 == 1 { image.and_then(vary) } else { image })
+        if number % 2 == 1 { image.and_then(vary) } else { image }
     })
 }
 

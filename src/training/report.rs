@@ -86,8 +86,9 @@ impl TrainingReport<'_> {
              <p>At least the latest fifth of every place, which no training saw. An image is recognised if the \
              nearest one that was learnt is of its place, and its cosine above the threshold; that lets one in two \
              hundred images of other places pass among those that training only looked at and those of places with too \
-             few. Without training, the nearest class mean is taken of what the training began with. Places next to \
-             each other are neither right nor wrong for each other.</p>\n",
+             few. Without training, the nearest class mean is taken, in the descriptors of the backbone or, where \
+             there is none, of the model before. Places next to each other are neither right nor wrong for each \
+             other.</p>\n",
             self.model.standing.asked,
             row("this model", &self.model.standing),
             row("the one before", &self.model.rivals.current),
@@ -116,7 +117,7 @@ impl TrainingReport<'_> {
             self.clusters;
         let mut data = format!(
             "<h2>Clusters</h2>\n{}<p>{} places have enough experiences to be learnt, of {}; {} have too few. {} \
-             images were learnt, {} only looked at, {} held out, {} are of no class. {duplicates} were left out as \
+             images were learnt, {} only looked at, {} held out, {} of those with too few show what is no class. {duplicates} were left out as \
              duplicates, {joined_by_pose} joined by pose, {} could not be read, {without_image} have no image any \
              more.</p>\n",
             plot(("experiences of a place", "places"), &histogram(sizes), true),
@@ -129,7 +130,7 @@ impl TrainingReport<'_> {
             self.pictures.strangers.len(),
             unreadable.len()
         );
-        data += "<table>\n<tr><th>place</th><th>learnt</th><th>held out</th></tr>\n";
+        data += "<table>\n<tr><th>place</th><th>learnt or looked at</th><th>held out</th></tr>\n";
         for class in classes {
             let name = class.name.as_deref().map(|name| format!(" {}", escaped(name))).unwrap_or_default();
             let (place, learnt, held_out) = (class.place.0, class.learnt.len(), class.held_out.len());

@@ -29,7 +29,7 @@ pub struct Standing {
 pub struct Rivals {
     /// The model that it is to take the place of.
     pub current: Standing,
-    /// The class means of what the training began with: what is recognised without any.
+    /// The class means of the backbone or, where there is none, of that model: what is recognised without any training.
     pub prototypes: Standing,
 }
 
@@ -118,8 +118,8 @@ fn best_cosines(
             let cosine = dot(known.vector(number), vector);
             if known_class == class {
                 own = own.max(cosine);
-            } else if !is_near(class, known_class) {
-                other = other.max(cosine);
+            } else if cosine > other && !is_near(class, known_class) {
+                other = cosine;
             }
         }
         (own, other)
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn as_good_is_who_recognises_as_much_and_mistakes_no_more() {
+    fn as_good_is_who_recognises_as_much_with_the_mistakes_taken_off() {
         let standing = |recognised, mistaken| Standing {
             asked: 9,
             recognised,

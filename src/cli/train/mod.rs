@@ -54,16 +54,18 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     if !arguments.json {
         say(&report::described(&clusters))?;
     }
-    if clusters.classes.len() < 2 {
-        return Err(TrainingError::TooFewClasses { classes: clusters.classes.len() }.into());
-    }
+    refuse_too_few(&clusters)?;
     let trainer = Trainer::new(arguments, &out, device, &stop)?;
     let mut models = Models::open(arguments, &trainer.runtime)?;
-    let images: usize = clusters.classes.iter().map(|class| class.learnt.len() + class.held_out.len()).sum();
-    let images = images + clusters.stranger_count().min(images);
+    let images = Pictures::most_of(&clusters);
     let pictures = trainer.progress.images(images, "images", |show| Pictures::of(&maps, &mut clusters, show));
     let pictures = pictures.map_err(|error| trainer.with_what_is_kept(error.into()))?;
-    refuse_unreadable(arguments, &clusters.unreadable)?;
+    refuse_unreadable(arguments, &mut clusters.unreadable)?;
+    report::report_left_out(&clusters);
+    refuse_too_few(&clusters)?;
+    if pictures.held_out.is_empty() {
+        return Err(TrainingError::NothingHeldOut.into());
+    }
     let trained = trainer.trained((&pictures, &clusters), &mut models);
     let Trained { mut model, precision, epochs } =
         trained.map_err(|error| trainer.with_what_is_kept(error))?;
@@ -77,7 +79,6 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let (results, how) = ((&model, &epochs[..]), (precision, trainer.device_name));
     let report = report::Report::new((&clusters, &pictures), results, how, (folder, is_accepted));
     say(&if arguments.json { serde_json::to_string(&report)? } else { report.text() })?;
-    report::report_left_out(&clusters);
     if !model.is_accepted() {
         report::report_refusal(&model, (&out, &aside), arguments.accept);
     }
@@ -206,8 +207,8 @@ impl<'a> Trainer<'a> {
         Ok(self.gathered_by(pictures, dimensions, &mut |image| described(model, image))?)
     }
 
-    /// What `describe` says of all images. What training only looks at is varied, too: the best epoch and the threshold
-    /// are to be those for other light.
+    /// What `describe` says of all images. What training only looks at, and what is of no class, is varied, too: the
+    /// best epoch and the threshold are to be those for other light.
     fn gathered_by(
         &self,
         pictures: &Pictures<'_>,
@@ -219,8 +220,10 @@ impl<'a> Trainer<'a> {
             .images(pictures.len(), "images", |show| Gathered::of(pictures, dimensions, describe, show))?;
         // Other draws than for what is learnt.
         let how = (dimensions, !self.arguments.seed);
-        let varied = self.varied((pictures, &pictures.checked), how, describe)?;
-        Ok(Gathered { checked: gathered.checked.and(&varied), ..gathered })
+        let checked = self.varied((pictures, &pictures.checked), how, describe)?;
+        let strangers = self.varied((pictures, &pictures.strangers), how, describe)?;
+        let (checked, strangers) = (gathered.checked.and(&checked), gathered.strangers.and(&strangers));
+        Ok(Gathered { checked, strangers, ..gathered })
     }
 
     /// What `describe` says of varied copies of `part` of `pictures`.
@@ -313,13 +316,20 @@ fn refuse_contradictions(arguments: &TrainArguments) -> Result<(), WrongArgument
     found.map_or(Ok(()), |(_, reason)| Err(WrongArgument((*reason).to_owned())))
 }
 
-/// A training does not go on without what it was to learn, unless that is wanted.
-fn refuse_unreadable(arguments: &TrainArguments, unreadable: &[Unreadable]) -> anyhow::Result<()> {
+/// There is something to tell apart.
+fn refuse_too_few(clusters: &Clusters) -> Result<(), TrainingError> {
+    let classes = clusters.classes.len();
+    if classes < 2 { Err(TrainingError::TooFewClasses { classes }) } else { Ok(()) }
+}
+
+/// A training does not go on without what it was to look at, unless that is wanted.
+fn refuse_unreadable(arguments: &TrainArguments, unreadable: &mut [Unreadable]) -> anyhow::Result<()> {
+    unreadable.sort_unstable();
     let Some(first) = unreadable.first().filter(|_| !arguments.skip_unreadable) else { return Ok(()) };
     let (count, map) = (counted(unreadable.len() as u64, "experience"), arguments.maps[first.map].display());
     anyhow::bail!(
-        "{count} cannot be read, the first is number {} of {map}: see loci map verify; --skip-unreadable goes on \
-         without",
+        "{count} of those looked at cannot be read, the first is number {} of {map}: see loci map verify; \
+         --skip-unreadable goes on without",
         first.experience.0
     )
 }

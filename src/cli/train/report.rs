@@ -22,13 +22,14 @@ pub(super) struct Report {
     joined_by_pose: usize,
     skipped: usize,
     without_image: usize,
+    strangers: usize,
     epochs: usize,
     precision: Precision,
     /// What trained.
     device: String,
     held_out: StandingReport,
     held_out_before: StandingReport,
-    /// The class means of what the training began with.
+    /// The class means of the backbone or, where there is none, of the model before.
     held_out_untrained: StandingReport,
     accepted: bool,
     model: String,
@@ -81,6 +82,7 @@ impl Report {
             joined_by_pose: clusters.joined_by_pose,
             skipped: clusters.unreadable.len(),
             without_image: clusters.without_image,
+            strangers: pictures.strangers.len(),
             epochs: epochs.len(),
             precision,
             device: device.to_string(),
@@ -125,11 +127,19 @@ pub(super) fn report_refusal(model: &TrainedModel, (out, aside): (&Path, &Path),
         true => "taken all the same".to_owned(),
         false => format!("kept aside; `mv {aside} {out}` takes it all the same"),
     };
-    let rival = match model.standing.is_as_good_as(&model.rivals.current) {
-        true => "class means without any training",
-        false => "the one before",
-    };
-    eprintln!("loci: the model does not do as well on what was held out as {rival}: {advice}");
+    eprintln!("loci: the model {}: {advice}", fault_of(model));
+}
+
+/// Why `model` is not accepted.
+fn fault_of(model: &TrainedModel) -> String {
+    let TrainedModel { standing, rivals, .. } = model;
+    if standing.recognised <= standing.mistaken {
+        return "recognises no more of what was held out than it mistakes".to_owned();
+    }
+    let rivals =
+        [(rivals.current, "the one before"), (rivals.prototypes, "class means without any training")];
+    let better = rivals.iter().filter(|(rival, _)| !standing.is_as_good_as(rival)).map(|(_, name)| *name);
+    format!("does not do as well on what was held out as {}", better.collect::<Vec<_>>().join(" and "))
 }
 
 /// Classes, what was left out, and the sizes of the clusters as a histogram: the paper's Fig. 2.
