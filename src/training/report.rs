@@ -117,9 +117,9 @@ impl TrainingReport<'_> {
             self.clusters;
         let mut data = format!(
             "<h2>Clusters</h2>\n{}<p>{} places have enough experiences to be learnt, of {}; {} have too few. {} \
-             images were learnt, {} only looked at, {} held out, {} of those with too few show what is no class. {duplicates} were left out as \
-             duplicates, {joined_by_pose} joined by pose, {} could not be read, {without_image} have no image any \
-             more.</p>\n",
+             images were learnt, {} only looked at, {} held out, {} of those with too few show what is no class. \
+             {duplicates} were left out as duplicates, {joined_by_pose} joined by pose, {} could not be read, \
+             {without_image} have no image any more.</p>\n",
             plot(("experiences of a place", "places"), &histogram(sizes), true),
             classes.len(),
             sizes.len(),

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use loci::training::{Clusters, DeviceChoice, Epoch, Pictures, Standing, TrainedModel, figure};
+use loci::training::{Clusters, DeviceChoice, Epoch, Pictures, Rivals, Standing, TrainedModel, figure};
 use serde::Serialize;
 
 use super::super::console::counted;
@@ -127,12 +127,11 @@ pub(super) fn report_refusal(model: &TrainedModel, (out, aside): (&Path, &Path),
         true => "taken all the same".to_owned(),
         false => format!("kept aside; `mv {aside} {out}` takes it all the same"),
     };
-    eprintln!("loci: the model {}: {advice}", fault_of(model));
+    eprintln!("loci: the model {}: {advice}", fault_of(&model.standing, &model.rivals));
 }
 
-/// Why `model` is not accepted.
-fn fault_of(model: &TrainedModel) -> String {
-    let TrainedModel { standing, rivals, .. } = model;
+/// Why a model is not accepted that stands like `standing`.
+fn fault_of(standing: &Standing, rivals: &Rivals) -> String {
     if standing.recognised <= standing.mistaken {
         return "recognises no more of what was held out than it mistakes".to_owned();
     }
@@ -174,5 +173,23 @@ mod tests {
         assert_eq!(serde_json::to_value(&report).unwrap()["precision"], serde_json::Value::Null);
         let half = StandingReport::from(&Standing { recognised: 2, mistaken: 2, ..nothing });
         assert!(half.text().contains(" at precision 0.500; "), "{}", half.text());
+    }
+
+    #[test]
+    fn a_model_that_is_refused_says_by_what_it_is_outdone() {
+        let standing =
+            |recognised| Standing { asked: 9, recognised, mistaken: 1, nearest: 9, calibration: None };
+        let fault = |own, before, untrained| {
+            let rivals = Rivals { current: standing(before), prototypes: standing(untrained) };
+            fault_of(&standing(own), &rivals)
+        };
+        assert_eq!(fault(1, 0, 0), "recognises no more of what was held out than it mistakes");
+        let not_as_well = "does not do as well on what was held out as";
+        assert_eq!(fault(5, 6, 5), format!("{not_as_well} the one before"));
+        assert_eq!(fault(5, 5, 6), format!("{not_as_well} class means without any training"));
+        assert_eq!(
+            fault(5, 6, 6),
+            format!("{not_as_well} the one before and class means without any training")
+        );
     }
 }
