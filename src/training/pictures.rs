@@ -36,8 +36,8 @@ pub struct Pictures<'a> {
     pub checked: Vec<Picture>,
     /// What nobody sees until the end.
     pub held_out: Vec<Picture>,
-    /// What is of no class, as evenly of all places with too few experiences as there is of them, no more than training
-    /// looks at: it shows which cosines mean nothing.
+    /// What is of no class, from all over the places with too few experiences, no more than training looks at: it shows
+    /// which cosines mean nothing.
     pub strangers: Vec<Picture>,
 }
 
@@ -73,21 +73,20 @@ impl<'a> Pictures<'a> {
         Ok(pictures)
     }
 
-    /// Images of strangers: the first of each, the second of each and so on, as many as are looked at.
+    /// Images of strangers, of each as many as it has a share in all, and as many as are looked at.
     fn strangers_of(
         &self,
         clusters: &mut Clusters,
         progress: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<Vec<Picture>, TrainingError> {
-        let mut ranked = Vec::new();
+        let mut all = Vec::new();
         for (index, stranger) in clusters.strangers.iter().enumerate() {
             let of_map = (stranger.map, clusters.classes.len() + index);
-            ranked.extend(stranger.samples.iter().enumerate().map(|(rank, &sample)| (rank, of_map, sample)));
+            all.extend(stranger.samples.iter().map(|&sample| (of_map, sample)));
         }
-        ranked.sort_by_key(|&(rank, of_map, _)| (rank, of_map));
-        ranked.truncate(self.checked.len());
+        let count = all.len().min(self.checked.len());
         let mut strangers = Vec::new();
-        for (_, of_map, sample) in ranked {
+        for (of_map, sample) in (0..count).map(|index| all[index * all.len() / count]) {
             strangers.extend(self.readable(&[sample], of_map, clusters, progress)?);
         }
         Ok(strangers)
@@ -213,7 +212,7 @@ mod tests {
         pictured(&map(&[20, 3, 25, 9, 5], |_| &jpeg), |clusters, pictures| {
             assert_eq!((clusters.classes.len(), clusters.stranger_count()), (2, 17));
             let numbers: Vec<usize> = pictures.strangers.iter().map(|picture| picture.class).collect();
-            assert_eq!((pictures.checked.len(), numbers), (8, vec![2, 3, 4, 2, 3, 4, 2, 3]));
+            assert_eq!((pictures.checked.len(), numbers), (8, vec![2, 2, 3, 3, 3, 3, 4, 4]));
             assert_eq!((pictures.len(), Pictures::most_of(clusters)), (45 + 8, 45 + 8));
         });
     }
