@@ -242,10 +242,13 @@ struct Ways(BTreeMap<PlaceId, BTreeSet<PlaceId>>);
 impl Ways {
     fn of(map: &PlaceMap) -> Self {
         let mut ways: BTreeMap<PlaceId, BTreeSet<PlaceId>> = BTreeMap::new();
+        // Those that were merged into others remember their neighbours, too.
         for place in map.places() {
-            for neighbour in place.neighbours.iter().filter_map(|&id| map.place(id)) {
-                ways.entry(place.id).or_default().insert(neighbour.id);
-                ways.entry(neighbour.id).or_default().insert(place.id);
+            let Some(here) = map.place(place.id).map(|place| place.id) else { continue };
+            let neighbours = place.neighbours.iter().filter_map(|&id| Some(map.place(id)?.id));
+            for there in neighbours.filter(|&there| there != here) {
+                ways.entry(here).or_default().insert(there);
+                ways.entry(there).or_default().insert(here);
             }
         }
         Self(ways)
@@ -466,6 +469,18 @@ mod tests {
         assert_eq!([0, 1, 2, 3].map(near_to), [vec![0, 1], vec![0, 1, 2], vec![1, 2], vec![3]]);
         assert_eq!([8, 9, 10].map(near_to), [vec![1, 2, 3], vec![3], vec![5, 6, 7]]);
         assert!(!found.is_near(0, 8) && !found.is_near(99, 0));
+    }
+
+    #[test]
+    fn a_place_is_next_to_what_was_next_to_those_that_became_part_of_it() {
+        let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
+        let places: Vec<PlaceId> = (0..4).map(|index| visited(&mut map, None, 100 * index, 20)).collect();
+        map.merge_places(places[1], places[3]).unwrap();
+        let found = clusters(&[&map], 20);
+        let next: Vec<_> =
+            found.classes.iter().map(|class| (class.place.0, class.neighbours.clone())).collect();
+        let [first, _, third, last] = places[..] else { panic!("{places:?}") };
+        assert_eq!(next, [(0, vec![last]), (2, vec![last]), (3, vec![first, third])]);
     }
 
     #[test]

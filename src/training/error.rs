@@ -17,8 +17,13 @@ pub enum TrainingError {
         classes: usize,
     },
     /// There is nothing to judge a model by.
-    #[error("no image is held out to judge a model by; a training needs some that can be read")]
+    #[error(
+        "no image that can be looked at is held out to judge a model by; let the robot see more of its places"
+    )]
     NothingHeldOut,
+    /// There is nothing to fit a threshold on.
+    #[error("all places that can be looked at are next to each other: no frame shows what is none of them")]
+    NothingElse,
     /// There is nothing to see how large activations become, or how far two models agree.
     #[error("not one image that can be looked at; a quantisation needs some of the place")]
     NoImages,

@@ -70,10 +70,11 @@ impl<'a> Pictures<'a> {
             }
         }
         pictures.strangers = pictures.strangers_of(clusters, progress)?;
+        clusters.unreadable.sort_unstable();
         Ok(pictures)
     }
 
-    /// Images of strangers, of each as many as it has a share in all, and as many as are looked at.
+    /// Images of strangers, evenly spaced over all of theirs: as many as training looks at, if there are so many.
     fn strangers_of(
         &self,
         clusters: &mut Clusters,
@@ -115,6 +116,23 @@ impl<'a> Pictures<'a> {
             }
         }
         Ok(readable)
+    }
+
+    /// Whether a model of `clusters` can be judged by them: some images are held out, and some show what is not near to
+    /// another class.
+    ///
+    /// # Errors
+    /// [`TrainingError::NothingHeldOut`], [`TrainingError::NothingElse`].
+    pub fn check(&self, clusters: &Clusters) -> Result<(), TrainingError> {
+        if self.held_out.is_empty() {
+            return Err(TrainingError::NothingHeldOut);
+        }
+        let shows_another = |picture: &Picture| {
+            (0..clusters.classes.len()).any(|class| !clusters.is_near(picture.class, class))
+        };
+        let is_known = !self.checked.is_empty();
+        let is_told = is_known && self.checked.iter().chain(&self.strangers).any(shows_another);
+        if is_told { Ok(()) } else { Err(TrainingError::NothingElse) }
     }
 
     /// How many images of `clusters` are tried at most.
@@ -207,7 +225,8 @@ mod tests {
     }
 
     #[test]
-    fn strangers_are_of_all_small_places_numbered_behind_the_classes_and_no_more_than_what_is_looked_at() {
+    fn strangers_are_from_all_over_the_small_places_numbered_behind_the_classes_and_no_more_than_what_is_looked_at()
+     {
         let jpeg = thumbnail_jpeg(&RgbImage::new(64, 64));
         pictured(&map(&[20, 3, 25, 9, 5], |_| &jpeg), |clusters, pictures| {
             assert_eq!((clusters.classes.len(), clusters.stranger_count()), (2, 17));

@@ -56,15 +56,13 @@ impl TrainingReport<'_> {
     }
 
     fn verdict(&self) -> String {
-        if self.model.is_accepted() {
-            "<p class=\"verdict\">It does as well on what was held out as the model that it is to take the place of, \
-             and as class means without any training: accepted.</p>\n"
-                .to_owned()
-        } else {
-            "<p class=\"verdict refused\">It does not do as well on what was held out as the model that it is to take \
-             the place of, or as class means without any training: kept aside, unless it was taken all the \
-             same.</p>\n"
-                .to_owned()
+        match self.model.fault() {
+            None => "<p class=\"verdict\">It does as well on what was held out as the model that it is to take the \
+                     place of, and as class means without any training: accepted.</p>\n"
+                .to_owned(),
+            Some(fault) => format!(
+                "<p class=\"verdict refused\">It {fault}: kept aside, unless it was taken all the same.</p>\n"
+            ),
         }
     }
 
@@ -86,9 +84,9 @@ impl TrainingReport<'_> {
              <p>At least the latest fifth of every place, which no training saw. An image is recognised if the \
              nearest one that was learnt is of its place, and its cosine above the threshold; that lets one in two \
              hundred images of other places pass among those that training only looked at and those of places with too \
-             few. Without training, the nearest class mean is taken, in the descriptors of the backbone or, where \
-             there is none, of the model before. Places next to each other are neither right nor wrong for each \
-             other.</p>\n",
+             few, unless these are within two steps along the way. Without training, the nearest class mean is taken, \
+             in the descriptors of the backbone or, where there is none, of the model before. Places next to each \
+             other are neither right nor wrong for each other.</p>\n",
             self.model.standing.asked,
             row("this model", &self.model.standing),
             row("the one before", &self.model.rivals.current),

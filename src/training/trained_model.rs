@@ -50,7 +50,7 @@ impl TrainedModel {
         let copies = if has_copies { ", copies in other light included" } else { "" };
         let strangers = match descriptors.strangers.len() {
             0 => String::new(),
-            count => format!(", and {count} of smaller places"),
+            count => format!(" and {count} of smaller places"),
         };
         let standing = Standing::of(descriptors, |one, other| clusters.is_near(one, other));
         let decision = standing.calibration.map(|calibration| DecisionCard {
@@ -67,7 +67,7 @@ impl TrainedModel {
             decision: decision.unwrap_or(NOTHING_RECOGNISED),
             training: TrainingCard {
                 data: format!(
-                    "{} images of {} places{HOW}{} later ones{copies}{strangers}. {}",
+                    "{} images of {} places{HOW}{} later ones{strangers}{copies}. {}",
                     descriptors.learnt.len(),
                     clusters.classes.len(),
                     descriptors.checked.len(),
@@ -109,8 +109,24 @@ impl TrainedModel {
     /// means without any training.
     #[must_use]
     pub fn is_accepted(&self) -> bool {
-        let Rivals { current, prototypes } = &self.rivals;
-        [current, prototypes].into_iter().all(|rival| self.standing.is_as_good_as(rival))
+        self.fault().is_none()
+    }
+
+    /// Why the model is not accepted, in a sentence about it.
+    #[must_use]
+    pub fn fault(&self) -> Option<String> {
+        let Standing { recognised, mistaken, .. } = self.standing;
+        if recognised == 0 {
+            return Some("recognises nothing of what was held out".to_owned());
+        }
+        if recognised <= mistaken {
+            return Some("mistakes as much of what was held out as it recognises".to_owned());
+        }
+        let Rivals { current, prototypes } = self.rivals;
+        let rivals = [(current, "the one before"), (prototypes, "class means without any training")];
+        let better = rivals.iter().filter(|(rival, _)| !self.standing.is_as_good_as(rival)).map(|it| it.1);
+        let better = better.collect::<Vec<_>>().join(" and ");
+        (!better.is_empty()).then(|| format!("does not do as well on what was held out as {better}"))
     }
 }
 
@@ -325,15 +341,23 @@ mod tests {
     }
 
     #[test]
-    fn a_model_is_accepted_that_does_as_well_as_the_one_before_and_as_class_means_without_training() {
+    fn a_model_is_accepted_that_does_as_well_as_the_one_before_and_as_class_means_or_says_why_not() {
         let (_, model, _) = trained();
-        let standing = |recognised| Standing { recognised, mistaken: 0, ..model.standing };
-        let is_accepted = |own, before, untrained| {
+        let standing = |recognised| Standing { recognised, mistaken: 1, ..model.standing };
+        let fault = |own, before, untrained| {
             let rivals = Rivals { current: standing(before), prototypes: standing(untrained) };
-            TrainedModel { standing: standing(own), rivals, ..model.clone() }.is_accepted()
+            TrainedModel { standing: standing(own), rivals, ..model.clone() }.fault()
         };
-        assert!(is_accepted(20, 20, 20));
-        assert!(!is_accepted(20, 21, 20) && !is_accepted(20, 20, 21));
-        assert!(!is_accepted(0, 0, 0));
+        assert_eq!(fault(20, 20, 20), None);
+        let not_as_well = "does not do as well on what was held out as";
+        for (before, untrained, rivals) in [
+            (21, 20, "the one before"),
+            (20, 21, "class means without any training"),
+            (21, 21, "the one before and class means without any training"),
+        ] {
+            assert_eq!(fault(20, before, untrained), Some(format!("{not_as_well} {rivals}")));
+        }
+        assert_eq!(fault(1, 0, 0).as_deref(), Some("mistakes as much of what was held out as it recognises"));
+        assert_eq!(fault(0, 0, 0).as_deref(), Some("recognises nothing of what was held out"));
     }
 }

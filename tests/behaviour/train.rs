@@ -214,7 +214,7 @@ fn a_model_of_places_that_are_told_apart_is_taken_and_one_of_shuffled_places_kep
     let refused = train_on(&path("shuffled"), &path("other"), &[]);
     assert_eq!(refused.code, 3, "{}", refused.stderr);
     assert!(
-        refused.stderr.contains("recognises no more of what was held out than it mistakes"),
+        refused.stderr.contains("the model recognises nothing of what was held out"),
         "{}",
         refused.stderr
     );
@@ -243,6 +243,32 @@ fn an_image_that_cannot_be_read_ends_the_training_by_number_unless_it_is_to_be_s
     assert_eq!(skipped.code, 3, "{}", skipped.stderr);
     assert!(skipped.stderr.contains("skipped: 2 experiences, for they cannot be read"), "{}", skipped.stderr);
     assert!(path("site/model.onnx").exists());
+}
+
+#[test]
+fn a_training_that_nothing_is_left_to_judge_by_ends_before_it_begins() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let refuses = |map: &str, said: &[&str]| {
+        let ended = train_on(&path(map), &path("site"), &["--skip-unreadable"]);
+        let says_so = said.iter().all(|part| ended.stderr.contains(part));
+        assert!(ended.code == 1 && says_so, "{map}: {} {}", ended.code, ended.stderr);
+    };
+    let without = |map: &str, is_broken: fn(u64) -> bool, place_of: fn(u64, u64) -> u64| {
+        let jpeg_of = |frame: &Frame| match is_broken(frame.index) {
+            true => b"no JPEG".to_vec(),
+            false => thumbnail_jpeg(&frame.colour),
+        };
+        map_with(&path(map), 10, place_of, jpeg_of);
+    };
+    // Ten laps of four places: of the last laps nothing can be read; or of all places but one.
+    without("late", |frame| frame >= 32, |place, _| place);
+    refuses("late", &["skipped: 8 experiences", "no image that can be looked at is held out"]);
+    without("one", |frame| frame % 4 != 2, |place, _| place);
+    refuses("one", &["skipped: 30 experiences", "needs two places at least, not 1"]);
+    without("next", |_| false, |place, _| place / 2);
+    refuses("next", &["all places that can be looked at are next to each other"]);
+    assert!(!path("site").exists() && !path("site.rejected").exists());
 }
 
 /// Arguments of a training on `map`, whatever comes of it.

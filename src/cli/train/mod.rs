@@ -60,12 +60,10 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let images = Pictures::most_of(&clusters);
     let pictures = trainer.progress.images(images, "images", |show| Pictures::of(&maps, &mut clusters, show));
     let pictures = pictures.map_err(|error| trainer.with_what_is_kept(error.into()))?;
-    refuse_unreadable(arguments, &mut clusters.unreadable)?;
+    refuse_unreadable(arguments, &clusters.unreadable)?;
     report::report_left_out(&clusters);
     refuse_too_few(&clusters)?;
-    if pictures.held_out.is_empty() {
-        return Err(TrainingError::NothingHeldOut.into());
-    }
+    pictures.check(&clusters)?;
     let trained = trainer.trained((&pictures, &clusters), &mut models);
     let Trained { mut model, precision, epochs } =
         trained.map_err(|error| trainer.with_what_is_kept(error))?;
@@ -79,8 +77,8 @@ pub(super) fn run(arguments: &TrainArguments) -> anyhow::Result<Outcome> {
     let (results, how) = ((&model, &epochs[..]), (precision, trainer.device_name));
     let report = report::Report::new((&clusters, &pictures), results, how, (folder, is_accepted));
     say(&if arguments.json { serde_json::to_string(&report)? } else { report.text() })?;
-    if !model.is_accepted() {
-        report::report_refusal(&model, (&out, &aside), arguments.accept);
+    if let Some(fault) = model.fault() {
+        report::report_refusal(&fault, (&out, &aside), arguments.accept);
     }
     let is_whole = clusters.unreadable.is_empty() && !has_lost;
     Ok(if is_accepted && is_whole { Outcome::Done } else { Outcome::Lost })
@@ -323,8 +321,7 @@ fn refuse_too_few(clusters: &Clusters) -> Result<(), TrainingError> {
 }
 
 /// A training does not go on without what it was to look at, unless that is wanted.
-fn refuse_unreadable(arguments: &TrainArguments, unreadable: &mut [Unreadable]) -> anyhow::Result<()> {
-    unreadable.sort_unstable();
+fn refuse_unreadable(arguments: &TrainArguments, unreadable: &[Unreadable]) -> anyhow::Result<()> {
     let Some(first) = unreadable.first().filter(|_| !arguments.skip_unreadable) else { return Ok(()) };
     let (count, map) = (counted(unreadable.len() as u64, "experience"), arguments.maps[first.map].display());
     anyhow::bail!(

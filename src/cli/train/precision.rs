@@ -133,11 +133,22 @@ mod tests {
 
     #[test]
     fn a_stranger_that_was_founded_where_a_class_is_hides_no_loss() {
-        let mut strangers = Labelled::new(3);
-        strangers.push(&[1.0, 0.0, 0.2], 2);
-        let [whole, worse] =
-            [true, false].map(|told| Gathered { strangers: strangers.clone(), ..gathered(told, true) });
-        let is_near = |one: usize, other: usize| one == other || (one, other) == (2, 0);
-        assert!(!recognises_as_much((&worse, &whole), is_near));
+        // At so many degrees from the class that was learnt: its own images are looked at, the stranger is nearer.
+        let at = |degrees: &[(f32, usize)]| {
+            let mut part = Labelled::new(2);
+            for &(degrees, class) in degrees {
+                part.push(&[degrees.to_radians().cos(), degrees.to_radians().sin()], class);
+            }
+            part
+        };
+        let looked_at = |degrees: f32| Gathered {
+            learnt: at(&[(0.0, 0), (90.0, 1)]),
+            checked: at(&[(degrees, 0), (90.0 - degrees, 1)]),
+            held_out: at(&[]),
+            strangers: at(&[(5.0, 2)]),
+        };
+        let both = (&looked_at(80.0), &looked_at(10.0));
+        assert!(!recognises_as_much(both, |one, other| one == other || (one, other) == (2, 0)));
+        assert!(recognises_as_much(both, |one, other| one == other), "the stranger alone would hide it");
     }
 }
