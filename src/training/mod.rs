@@ -22,6 +22,8 @@ mod pictures;
 mod principal;
 mod quantisation;
 mod report;
+#[cfg(test)]
+mod scripted_map;
 mod standing;
 mod trained_model;
 mod variation;

@@ -356,11 +356,9 @@ impl Lesson for PictureLesson<'_> {
 mod tests {
     use super::*;
     use crate::cnn::{DescriptorModel, installed_runtime, save_model};
-    use crate::feature::Features;
-    use crate::frame::Frame;
-    use crate::place_map::{MapOptions, NewExperience, PlaceMap, Traits};
-    use crate::raster::GreyImage;
+    use crate::place_map::PlaceMap;
     use crate::source::thumbnail_jpeg;
+    use crate::training::scripted_map::scripted_map;
     use crate::training::{ClusterRules, Clusters, Gathered};
 
     /// Stripes that lie otherwise in every class, in a light of their own.
@@ -378,33 +376,8 @@ mod tests {
 
     /// A map of three places that were seen so many times each.
     fn map(times: usize) -> PlaceMap {
-        let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
         let mut random = Pcg64::new(1, 1);
-        let (features, traits) = (Features::default(), Traits::default());
-        for class in 0..3 {
-            let mut place = None;
-            for time in 0..times {
-                let frame = Frame {
-                    index: 0,
-                    capture_nanos: time as i64,
-                    name: String::new(),
-                    colour: RgbImage::new(1, 1),
-                    grey: GreyImage::new(1, 1),
-                    jpeg: None,
-                    pose: None,
-                    true_place: None,
-                };
-                let new = NewExperience {
-                    frame: &frame,
-                    view: 0,
-                    mean_luminance: 100.0,
-                    thumbnail_jpeg: &thumbnail_jpeg(&image(class, &mut random)),
-                    keyframe: place.is_none().then_some((&features, &traits)),
-                };
-                place = Some(map.learn(place, &new).unwrap().place);
-            }
-        }
-        map
+        scripted_map(&[times; 3], |class| thumbnail_jpeg(&image(class, &mut random)))
     }
 
     fn go_on() -> ControlFlow<()> {

@@ -178,42 +178,9 @@ impl<'a> Pictures<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::feature::Features;
-    use crate::frame::Frame;
-    use crate::place_map::{MapOptions, NewExperience, PlaceId, Traits};
-    use crate::raster::GreyImage;
     use crate::source::thumbnail_jpeg;
     use crate::training::ClusterRules;
-
-    /// A map of places that were seen so many times each; their images are what `jpeg_of` says of the place.
-    fn map<'a>(sizes: &[usize], jpeg_of: impl Fn(usize) -> &'a [u8]) -> PlaceMap {
-        let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
-        let (features, traits) = (Features::default(), Traits::default());
-        for (index, &size) in sizes.iter().enumerate() {
-            let mut place: Option<PlaceId> = None;
-            for time in 0..size {
-                let frame = Frame {
-                    index: 0,
-                    capture_nanos: time as i64,
-                    name: String::new(),
-                    colour: RgbImage::new(1, 1),
-                    grey: GreyImage::new(1, 1),
-                    jpeg: None,
-                    pose: None,
-                    true_place: None,
-                };
-                let new = NewExperience {
-                    frame: &frame,
-                    view: 0,
-                    mean_luminance: 100.0,
-                    thumbnail_jpeg: jpeg_of(index),
-                    keyframe: place.is_none().then_some((&features, &traits)),
-                };
-                place = Some(map.learn(place, &new).unwrap().place);
-            }
-        }
-        map
-    }
+    use crate::training::scripted_map::scripted_map;
 
     /// Classes and images of `map`, in which places of ten experiences or more are classes.
     fn pictured<T>(map: &PlaceMap, look: impl FnOnce(&Clusters, &Pictures<'_>) -> T) -> T {
@@ -225,10 +192,9 @@ mod tests {
     }
 
     #[test]
-    fn strangers_are_from_all_over_the_small_places_numbered_behind_the_classes_and_no_more_than_what_is_looked_at()
-     {
+    fn strangers_are_from_all_over_the_small_places_and_no_more_than_what_is_looked_at() {
         let jpeg = thumbnail_jpeg(&RgbImage::new(64, 64));
-        pictured(&map(&[20, 3, 25, 9, 5], |_| &jpeg), |clusters, pictures| {
+        pictured(&scripted_map(&[20, 3, 25, 9, 5], |_| jpeg.clone()), |clusters, pictures| {
             assert_eq!((clusters.classes.len(), clusters.stranger_count()), (2, 17));
             let numbers: Vec<usize> = pictures.strangers.iter().map(|picture| picture.class).collect();
             assert_eq!((pictures.checked.len(), numbers), (8, vec![2, 2, 3, 3, 3, 3, 4, 4]));
@@ -238,14 +204,14 @@ mod tests {
 
     #[test]
     fn an_image_that_the_map_gave_up_is_missing_and_not_unreadable() {
-        pictured(&map(&[10], |_| b""), |clusters, pictures| {
+        pictured(&scripted_map(&[10], |_| Vec::new()), |clusters, pictures| {
             assert_eq!((pictures.len(), clusters.without_image, &clusters.unreadable[..]), (0, 10, &[][..]));
         });
     }
 
     #[test]
     fn images_that_cannot_be_decoded_are_told_by_number_and_a_class_without_any_is_none() {
-        pictured(&map(&[10, 2], |_| b"no JPEG"), |clusters, pictures| {
+        pictured(&scripted_map(&[10, 2], |_| b"no JPEG".to_vec()), |clusters, pictures| {
             assert!(clusters.classes.is_empty() && pictures.is_empty());
             let numbers: Vec<u32> = clusters.unreadable.iter().map(|it| it.experience.0).collect();
             assert_eq!(numbers, (0..10).collect::<Vec<_>>(), "of strangers no more than what is looked at");
@@ -255,8 +221,8 @@ mod tests {
     #[test]
     fn strangers_are_numbered_behind_the_classes_that_have_images() {
         let jpeg = thumbnail_jpeg(&RgbImage::new(64, 64));
-        let jpeg_of = |place| if place == 1 { &b"no JPEG"[..] } else { &jpeg };
-        pictured(&map(&[20, 20, 2, 20], jpeg_of), |clusters, pictures| {
+        let jpeg_of = |place| if place == 1 { b"no JPEG".to_vec() } else { jpeg.clone() };
+        pictured(&scripted_map(&[20, 20, 2, 20], jpeg_of), |clusters, pictures| {
             let places: Vec<u32> = clusters.classes.iter().map(|class| class.place.0).collect();
             assert_eq!((places, clusters.unreadable.len()), (vec![0, 3], 20));
             assert!(pictures.held_out.iter().any(|picture| picture.class == 1));
