@@ -72,6 +72,7 @@ struct Score {
 
 impl Score {
     fn count(&mut self, record: &FrameRecord) {
+        self.frames += u64::from(record.frame.index >= FRAMES_PER_LAP);
         let (Some(place), Some(truth)) = (record.recognition.place, record.frame.true_place) else { return };
         let is_named = matches!(record.recognition.decision, Decision::Recognised | Decision::Revisited);
         if record.frame.index < FRAMES_PER_LAP {
@@ -79,7 +80,6 @@ impl Score {
             self.places_of_first_lap = self.seen_at.len();
             return;
         }
-        self.frames += 1;
         if is_named {
             self.named += 1;
             let near = truth.saturating_sub(TOLERANCE_PLACES)..=truth + TOLERANCE_PLACES;

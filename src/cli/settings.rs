@@ -8,12 +8,20 @@ use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use loci::place_map::Durability;
 use serde::Deserialize;
 
 use super::WrongArgument;
 use super::size::Size;
+
+/// What can be switched on and off.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Switch {
+    On,
+    Off,
+}
 
 /// Settings of a stream; what is not set anywhere is `None`.
 #[derive(Args, Clone, Debug, Default, Deserialize, PartialEq)]
@@ -50,6 +58,9 @@ pub(super) struct StreamSettings {
     /// δ_ep: processed frames that join a place unasked after its founding [default: 5]
     #[arg(long, env = "LOCI_PLACE_INTERVAL", value_name = "N")]
     pub(super) place_interval: Option<u32>,
+    /// Whether what was seen before counts, or every frame by itself [default: on]
+    #[arg(long, env = "LOCI_SEQUENCE", value_enum, value_name = "WHETHER")]
+    pub(super) sequence: Option<Switch>,
     /// Localise only, never change the map
     #[arg(long, env = "LOCI_READ_ONLY", num_args = 0..=1, require_equals = true,
           default_missing_value = "true", value_name = "BOOL")]
@@ -96,6 +107,7 @@ impl StreamSettings {
             onnxruntime: self.onnxruntime.or(other.onnxruntime),
             sample_interval: self.sample_interval.or(other.sample_interval),
             place_interval: self.place_interval.or(other.place_interval),
+            sequence: self.sequence.or(other.sequence),
             read_only: self.read_only.or(other.read_only),
             grow_vocabulary: self.grow_vocabulary.or(other.grow_vocabulary),
             rerun: self.rerun.or(other.rerun),

@@ -14,7 +14,7 @@ use loci::telemetry::RecognitionSink;
 use loci::vocabulary::VocabularySet;
 
 use super::console::counted;
-use super::settings::StreamSettings;
+use super::settings::{StreamSettings, Switch};
 use super::size::Size;
 use super::{WrongArgument, assets};
 
@@ -99,6 +99,7 @@ pub(super) fn recognition_options(settings: &StreamSettings) -> anyhow::Result<R
     let memory_bytes = bytes_of("--map-memory", settings.map_memory)?;
     Ok(RecognitionOptions {
         place_interval: settings.place_interval.unwrap_or(defaults.place_interval),
+        sequence: settings.sequence.map_or(defaults.sequence, |switch| switch == Switch::On),
         read_only: settings.read_only.unwrap_or(defaults.read_only),
         grow_vocabulary: settings.grow_vocabulary.unwrap_or(defaults.grow_vocabulary),
         memory_bytes: memory_bytes.map_or(defaults.memory_bytes, |bytes| bytes as usize),

@@ -129,8 +129,13 @@ impl ModelCard {
     /// Probability that two descriptors of this cosine show the same place: 1 / (1 + e^−(slope·cos + offset)).
     #[must_use]
     pub fn probability(&self, cosine: f32) -> f32 {
-        let DecisionCard { calibration_slope: slope, calibration_offset: offset, .. } = self.decision;
-        1.0 / (1.0 + (-(slope * cosine + offset)).exp())
+        1.0 / (1.0 + (-self.log_odds(cosine)).exp())
+    }
+
+    /// Log odds of that: slope·cos + offset.
+    #[must_use]
+    pub fn log_odds(&self, cosine: f32) -> f32 {
+        self.decision.calibration_slope * cosine + self.decision.calibration_offset
     }
 
     pub(super) fn check(&self) -> Result<(), String> {

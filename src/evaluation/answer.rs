@@ -1,7 +1,5 @@
 //! Answers: which reference frames a method finds for a query frame, best first, and whether it says so.
 
-use crate::recognition::Evidence;
-
 /// Most candidates that an answer lists.
 pub const MAX_CANDIDATES: usize = 10;
 
@@ -53,15 +51,6 @@ impl Candidate {
         match (self.place, other.place) {
             (Some(place), Some(other)) => place == other,
             _ => self.reference == other.reference,
-        }
-    }
-
-    /// Why a candidate with such evidence is accepted, or not.
-    pub(super) fn reason(by: Evidence, got: f64, needed: f64) -> String {
-        let relation = if got >= needed { "≥" } else { "<" };
-        match by {
-            Evidence::Cnn => format!("cosine {got:.3} {relation} {needed:.3}"),
-            _ => format!("{got:.0} effective inliers {relation} {needed:.0}"),
         }
     }
 }

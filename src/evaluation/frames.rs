@@ -1,15 +1,16 @@
 //! The field's database: every reference frame can be found.
 //!
-//! The CNN ranks all of them by cosine; BoW+HV ranks those that share the most words by their effective
-//! inliers; together they decide as `loci run` does: what the CNN accepts, else what geometry accepts,
-//! else nothing, and the likeliest of both comes first.
+//! The CNN ranks all of them by cosine; BoW+HV ranks those that share the most words by their effective inliers;
+//! together they decide by probability, as `loci run` does of a frame that nothing comes before.
+
+use std::collections::BTreeMap;
 
 use super::answer::{Answer, Candidate, MAX_CANDIDATES};
 use super::results::Method;
 use super::traverse::{Observation, Traverse};
 use crate::cnn::ModelCard;
 use crate::feature::Features;
-use crate::recognition::{Evidence, RecognitionOptions, doubt, inlier_probability};
+use crate::recognition::{Clues, RecognitionOptions};
 use crate::retrieval::{BowVector, InvertedIndex};
 use crate::verification::{MatchingView, Verification, VerificationOptions, verify};
 use crate::vocabulary::{Quantised, Vocabulary, VocabularySet};
@@ -68,43 +69,37 @@ impl<'a> FrameDatabase<'a> {
     /// What each of `methods` finds for `query` among the first `horizon` reference frames.
     pub fn answer(&mut self, query: &Observation, horizon: usize, methods: &[Method]) -> Vec<Answer> {
         let asks = |wanted: Method| methods.iter().any(|&m| m == wanted || m == Method::CnnBowHv);
-        let cnn = if asks(Method::Cnn) { self.by_cnn(query, horizon) } else { Answer::default() };
-        let bow_hv = if asks(Method::BowHv) { self.by_bow_hv(query, horizon) } else { Answer::default() };
+        let alike = if asks(Method::Cnn) { self.alike(query, horizon) } else { Vec::new() };
+        let verified = if asks(Method::BowHv) { self.verified(query, horizon) } else { Vec::new() };
         let answer = |method: &Method| match method {
-            Method::Cnn => cnn.clone(),
-            Method::BowHv => bow_hv.clone(),
-            Method::CnnBowHv => together(&cnn, &bow_hv),
+            Method::Cnn => self.by_cnn(&alike),
+            Method::BowHv => self.by_bow_hv(&verified),
+            Method::CnnBowHv => self.together(query, (&alike, &verified)),
         };
         methods.iter().map(answer).collect()
     }
 
-    fn by_cnn(&self, query: &Observation, horizon: usize) -> Answer {
-        let (Some(model), Some(descriptor)) = (self.model, &query.look.appearance) else {
-            return Answer::default();
-        };
-        let mut found: Vec<(f32, usize)> = Vec::new();
-        for (reference, observation) in self.reference.observations.iter().take(horizon).enumerate() {
-            let Some(known) = &observation.look.appearance else { continue };
-            found.push((descriptor.cosine(known), reference));
-        }
+    /// The frames that the CNN finds most alike, with their cosines, best first.
+    fn alike(&self, query: &Observation, horizon: usize) -> Vec<(f32, usize)> {
+        let mut found: Vec<(f32, usize)> = (0..horizon.min(self.keyframes.len()))
+            .filter_map(|at| Some((self.cosine(query, at)?, at)))
+            .collect();
         let best_first = |a: &(f32, usize), b: &(f32, usize)| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1));
         if found.len() > MAX_CANDIDATES {
             found.select_nth_unstable_by(MAX_CANDIDATES - 1, best_first);
             found.truncate(MAX_CANDIDATES);
         }
         found.sort_unstable_by(best_first);
-        let needed = model.decision.recognise_above;
-        let candidate = |&(cosine, reference): &(f32, usize)| Candidate {
-            reference,
-            place: None,
-            probability: f64::from(model.probability(cosine)),
-            reason: Candidate::reason(Evidence::Cnn, f64::from(cosine), f64::from(needed)),
-        };
-        let chosen = found.first().filter(|best| best.0 >= needed).map(candidate);
-        by_best(chosen, found.iter().map(candidate).collect())
+        found
     }
 
-    fn by_bow_hv(&mut self, query: &Observation, horizon: usize) -> Answer {
+    fn cosine(&self, query: &Observation, reference: usize) -> Option<f32> {
+        let known = self.reference.observations.get(reference)?.look.appearance.as_ref()?;
+        Some(query.look.appearance.as_ref().filter(|_| self.model.is_some())?.cosine(known))
+    }
+
+    /// The frames that share the most words, with their effective inliers, best first.
+    fn verified(&mut self, query: &Observation, horizon: usize) -> Vec<(u32, usize)> {
         let condition = query.look.light.condition;
         let bow = bow(&query.look.quantised, self.vocabularies.vocabulary(condition));
         let retrieved =
@@ -120,16 +115,57 @@ impl<'a> FrameDatabase<'a> {
             .collect();
         found.sort_by(|a, b| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
         found.truncate(MAX_CANDIDATES);
-        let needed = self.options.min_inliers;
-        let candidate = |&(inliers, _, reference): &(u32, f32, usize)| Candidate {
+        found.into_iter().map(|(inliers, _, reference)| (inliers, reference)).collect()
+    }
+
+    /// What the CNN says by its own threshold.
+    fn by_cnn(&self, alike: &[(f32, usize)]) -> Answer {
+        let Some(model) = self.model else { return Answer::default() };
+        let needed = model.decision.recognise_above;
+        let candidate = |&(cosine, reference): &(f32, usize)| Candidate {
             reference,
             place: None,
-            probability: f64::from(inlier_probability(inliers)),
-            reason: Candidate::reason(Evidence::BowHv, f64::from(inliers), f64::from(needed)),
+            probability: f64::from(model.probability(cosine)),
+            reason: format!("cosine {cosine:.3} {} {needed:.3}", if cosine >= needed { "≥" } else { "<" }),
         };
-        let chosen = found.first().filter(|best| best.0 >= needed).map(candidate);
-        by_best(chosen, found.iter().map(candidate).collect())
+        let chosen = alike.first().filter(|best| best.0 >= needed).map(candidate);
+        by_best(chosen, alike.iter().map(candidate).collect())
     }
+
+    fn by_bow_hv(&self, verified: &[(u32, usize)]) -> Answer {
+        let found = verified.iter().map(|&(inliers, reference)| (reference, Clues { cosine: None, inliers }));
+        self.by_probability(found.collect())
+    }
+
+    /// Both at once, as `loci run` decides about a single frame.
+    fn together(&self, query: &Observation, (alike, verified): (&[(f32, usize)], &[(u32, usize)])) -> Answer {
+        let mut clues: BTreeMap<usize, Clues> = BTreeMap::new();
+        let references = alike.iter().map(|found| found.1).chain(verified.iter().map(|found| found.1));
+        for reference in references {
+            let inliers = verified.iter().find(|found| found.1 == reference).map_or(0, |found| found.0);
+            clues.insert(reference, Clues { cosine: self.cosine(query, reference), inliers });
+        }
+        self.by_probability(clues.into_iter().collect())
+    }
+
+    fn by_probability(&self, found: Vec<(usize, Clues)>) -> Answer {
+        let needed = f64::from(self.options.accept_above);
+        let candidate = |(reference, clues): (usize, Clues)| {
+            let probability = f64::from(clues.probability(self.model));
+            Candidate { reference, place: None, probability, reason: reason(clues, probability, needed) }
+        };
+        let mut found: Vec<Candidate> = found.into_iter().map(candidate).collect();
+        found.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        let chosen = found.first().filter(|best| best.probability >= needed).cloned();
+        by_best(chosen, found)
+    }
+}
+
+/// Why a candidate of which so much is known is accepted, or not.
+fn reason(Clues { cosine, inliers }: Clues, probability: f64, needed: f64) -> String {
+    let cosine = cosine.map_or(String::new(), |cosine| format!("cosine {cosine:.3}, "));
+    let relation = if probability >= needed { "≥" } else { "<" };
+    format!("{cosine}{inliers} effective inliers: probability {probability:.3} {relation} {needed:.3}")
 }
 
 fn bow(quantised: &[Quantised], vocabulary: &Vocabulary) -> BowVector {
@@ -140,56 +176,4 @@ fn bow(quantised: &[Quantised], vocabulary: &Vocabulary) -> BowVector {
 fn by_best(chosen: Option<Candidate>, found: Vec<Candidate>) -> Answer {
     let confidence = found.first().map_or(0.0, |best| best.probability);
     Answer::new(chosen, found, confidence)
-}
-
-/// What the CNN accepts; else what geometry accepts; else the likeliest of both, with the doubt that the
-/// decision leaves.
-fn together(cnn: &Answer, bow_hv: &Answer) -> Answer {
-    let given = [cnn, bow_hv].into_iter().find(|answer| answer.is_given);
-    let found = cnn.candidates.iter().chain(&bow_hv.candidates).cloned().collect();
-    let chosen = given.and_then(|answer| answer.candidates.first().cloned());
-    let likeliest = |answer: &Answer| answer.candidates.first().map(|best| best.probability as f32);
-    let doubt = || f64::from(doubt(likeliest(cnn), likeliest(bow_hv)));
-    let confidence = given.map_or_else(doubt, |answer| answer.confidence);
-    Answer::new(chosen, found, confidence)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn answer(candidates: &[(usize, f64)], is_given: bool) -> Answer {
-        let candidate = |&(reference, probability): &(usize, f64)| Candidate {
-            reference,
-            place: None,
-            probability,
-            reason: String::new(),
-        };
-        let confidence = candidates[0].1;
-        Answer { candidates: candidates.iter().map(candidate).collect(), confidence, is_given }
-    }
-
-    fn order(answer: &Answer) -> Vec<usize> {
-        answer.candidates.iter().map(|candidate| candidate.reference).collect()
-    }
-
-    #[test]
-    fn what_the_cnn_accepts_comes_before_what_geometry_finds_likelier() {
-        let both = together(&answer(&[(1, 0.9), (2, 0.3)], true), &answer(&[(3, 0.99), (2, 0.2)], true));
-        assert_eq!((order(&both), both.is_given), (vec![1, 3, 2], true));
-    }
-
-    #[test]
-    fn what_geometry_accepts_comes_before_what_the_cnn_turned_down() {
-        let both = together(&answer(&[(1, 0.8)], false), &answer(&[(3, 0.7)], true));
-        assert_eq!((order(&both), both.is_given), (vec![3, 1], true));
-        assert!((both.confidence - 0.7).abs() < 1e-9);
-    }
-
-    #[test]
-    fn where_nothing_is_accepted_the_likeliest_comes_first() {
-        let both = together(&answer(&[(1, 0.2), (2, 0.1)], false), &answer(&[(3, 0.15), (1, 0.1)], false));
-        assert_eq!((order(&both), both.is_given), (vec![1, 3, 2], false));
-        assert!((both.confidence - 0.15).abs() < 1e-6, "but geometry says how far to trust it");
-    }
 }

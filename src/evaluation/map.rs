@@ -12,7 +12,7 @@ use super::EvaluationError;
 use super::answer::{Answer, Candidate};
 use super::results::Method;
 use super::traverse::{Eyes, Observation, Traverse};
-use crate::place_map::{MapError, MapOptions, PlaceId, PlaceMap};
+use crate::place_map::{ExperienceId, MapError, MapOptions, PlaceId, PlaceMap};
 use crate::recognition::{self, Decision, Look, Recogniser, Recognition, RecognitionOptions};
 
 /// What a robot answered along a traverse, and what it knew in the end.
@@ -32,12 +32,14 @@ pub struct RobotOptions {
     pub map: MapOptions,
 }
 
-/// A robot with a map in memory. Its experiences are the frames it saw while the map grew, in order.
+/// A robot with a map in memory. Its experiences are frames that it saw while the map grew, in order.
 pub struct Robot<'a> {
     method: Method,
     eyes: &'a Eyes,
     options: RecognitionOptions,
     recogniser: Recogniser,
+    /// The frame that each experience is of.
+    frames: Vec<usize>,
 }
 
 impl<'a> Robot<'a> {
@@ -49,7 +51,7 @@ impl<'a> Robot<'a> {
         let map = PlaceMap::in_memory(options.map)?;
         let options = RecognitionOptions { read_only: false, ..options.recognition.clone() };
         let recogniser = recogniser(method, eyes, map, options.clone())?;
-        Ok(Self { method, eyes, options, recogniser })
+        Ok(Self { method, eyes, options, recogniser, frames: Vec::new() })
     }
 
     /// From now on the map stays as it is.
@@ -66,7 +68,12 @@ impl<'a> Robot<'a> {
     #[must_use]
     pub fn places(&self) -> Vec<Vec<usize>> {
         let places = self.recogniser.map().places();
-        places.map(|place| place.experiences.iter().map(|id| id.0 as usize).collect()).collect()
+        places.map(|place| place.experiences.iter().map(|&id| self.frame_of(id)).collect()).collect()
+    }
+
+    /// The frame that an experience is of.
+    fn frame_of(&self, experience: ExperienceId) -> usize {
+        self.frames.get(experience.0 as usize).copied().unwrap_or_default()
     }
 
     /// Answers along `traverse`, unless `stop` is set meanwhile.
@@ -74,6 +81,7 @@ impl<'a> Robot<'a> {
     /// # Errors
     /// If the map cannot grow, or it was interrupted.
     pub fn walk(&mut self, traverse: &Traverse, stop: &AtomicBool) -> Result<MapRun, EvaluationError> {
+        self.recogniser.begin_anew();
         let mut run = MapRun { answers: Vec::new(), latency_us: Vec::new() };
         for (index, observation) in traverse.observations.iter().enumerate() {
             if stop.load(Ordering::Relaxed) {
@@ -84,9 +92,12 @@ impl<'a> Robot<'a> {
             let started = Instant::now();
             let mut candidates = self.recogniser.retrieve(&look);
             let retrieval_us = started.elapsed().as_micros() as u64;
-            let verification = self.recogniser.verify(&look, &mut candidates);
-            let recognition = self.recogniser.decide(&frame, &look, (candidates, verification), Vec::new);
+            let verifications = self.recogniser.verify(&look, &mut candidates);
+            let recognition = self.recogniser.decide(&frame, &look, (candidates, verifications), Vec::new);
             self.recogniser.take_map_failure().map_or(Ok(()), Err)?;
+            if recognition.experience.is_some() {
+                self.frames.push(index);
+            }
             let verification_us = started.elapsed().as_micros() as u64 - retrieval_us;
             run.answers.push(self.answer(&recognition));
             run.latency_us.push((retrieval_us, verification_us));
@@ -111,16 +122,17 @@ impl<'a> Robot<'a> {
 
     fn answer(&self, recognition: &Recognition) -> Answer {
         let candidate = |candidate: &recognition::Candidate| Candidate {
-            reference: candidate.keyframe.0 as usize,
+            reference: self.frame_of(candidate.keyframe),
             place: Some(candidate.place.0 as usize),
-            probability: f64::from(self.recogniser.probability(candidate)),
+            probability: f64::from(candidate.probability),
             reason: reason(candidate),
         };
         let is_given = matches!(recognition.decision, Decision::Recognised | Decision::Revisited);
         let chosen = recognition.candidates.iter().find(|candidate| is_given && candidate.rejected.is_none());
-        let confidence = f64::from(recognition.confidence);
-        // What was decided to be no match is a match with the remaining probability.
-        let confidence = if is_given { confidence } else { 1.0 - confidence };
+        // What was decided to be no match is one as likely as its likeliest candidate.
+        let likeliest = recognition.candidates.iter().map(|candidate| candidate.probability).reduce(f32::max);
+        let confidence = if is_given { recognition.confidence } else { likeliest.unwrap_or_default() };
+        let confidence = f64::from(confidence);
         Answer::new(chosen.map(candidate), recognition.candidates.iter().map(candidate).collect(), confidence)
     }
 }

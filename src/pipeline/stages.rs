@@ -216,10 +216,10 @@ fn decide(recogniser: &mut Recogniser, seen: Seen) -> FrameRecord {
     let started = Instant::now();
     let mut candidates = recogniser.retrieve(&look);
     let retrieval_us = micros(started);
-    let verification = recogniser.verify(&look, &mut candidates);
+    let verifications = recogniser.verify(&look, &mut candidates);
     let verification_us = micros(started) - retrieval_us;
     let thumbnail = || thumbnail_jpeg(&frame.colour);
-    let recognition = recogniser.decide(&frame, &look, (candidates, verification), thumbnail);
+    let recognition = recogniser.decide(&frame, &look, (candidates, verifications), thumbnail);
     let PerceptionLatency { decode_us, features_us, cnn_us } = latency;
     // Known once everything was done for the frame.
     let total_us = 0;

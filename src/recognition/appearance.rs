@@ -97,6 +97,7 @@ impl Entry {
             by: Evidence::Cnn,
             score,
             inliers: None,
+            probability: 0.0,
             rejected: None,
         }
     }

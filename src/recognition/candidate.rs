@@ -48,6 +48,8 @@ pub struct Candidate {
     pub score: f32,
     /// Effective inliers, once verified.
     pub inliers: Option<u32>,
+    /// Probability that the frame shows the place, by all that it and those before it say of it; 0 until that is asked.
+    pub probability: f32,
     /// Why it was turned down; `None` for the one that was accepted.
     pub rejected: Option<Rejection>,
 }
@@ -55,20 +57,15 @@ pub struct Candidate {
 /// Why a candidate was turned down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rejection {
-    /// Its score stays below what recognition needs.
-    Score {
-        /// The score.
+    /// It is too unlikely.
+    Unlikely {
+        /// How likely it is, with the places next to it.
         got: f32,
-        /// What it would have taken.
+        /// How likely it would have to be.
         needed: f32,
     },
-    /// It has too few effective inliers.
-    Inliers {
-        /// How many.
-        got: u32,
-        /// What it would have taken.
-        needed: u32,
-    },
+    /// What was seen before speaks for it, but not the frame.
+    NotSeen,
     /// It is the place we are in, founded so recently that its frames join it unasked.
     WithinPlaceInterval,
     /// Another candidate was accepted before it.
@@ -81,8 +78,8 @@ pub enum Rejection {
 impl fmt::Display for Rejection {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Score { got, needed } => write!(formatter, "score {got:.3} < {needed:.3}"),
-            Self::Inliers { got, needed } => write!(formatter, "inliers {got} < {needed}"),
+            Self::Unlikely { got, needed } => write!(formatter, "probability {got:.3} < {needed:.3}"),
+            Self::NotSeen => write!(formatter, "expected, but not seen in the frame"),
             Self::WithinPlaceInterval => write!(formatter, "within the place interval"),
             Self::Outdone { by } => write!(formatter, "place {} was accepted", by.0),
         }

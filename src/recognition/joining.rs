@@ -133,13 +133,17 @@ impl Recogniser {
         Ok(Look::new(map.features(keyframe)?, (vocabularies, light), descriptor))
     }
 
-    /// The match with most inliers, the strong ones first. Unlike in the decision, geometry is asked of what the CNN
-    /// accepts, too.
+    /// The match with most inliers, the strong ones first. Geometry is asked of what the CNN is sure of, too.
     fn best_match(&mut self, look: &Look) -> Option<Match> {
         let groups = look.groups();
         let query = MatchingView { features: &look.features, groups: &groups };
         let mut matches = Vec::new();
-        for candidate in self.retrieve(look).iter().filter(|candidate| candidate.rejected.is_none()) {
+        for candidate in &self.retrieve(look) {
+            if candidate.rejected.is_some()
+                || candidate.by == Evidence::Cnn && !self.is_known_by_cnn(candidate)
+            {
+                continue;
+            }
             let verification = self.verify_keyframe((query, look.light.condition), candidate.keyframe);
             matches.extend(judged(candidate, verification.effective_inliers, self.options.min_inliers));
         }
@@ -219,6 +223,7 @@ mod tests {
             by: Evidence::BowHv,
             score: 0.1,
             inliers: None,
+            probability: 0.5,
             rejected: None,
         };
         let found = keyframes.iter().flatten();
@@ -241,6 +246,7 @@ mod tests {
             by,
             score: 0.95,
             inliers: None,
+            probability: 0.5,
             rejected: None,
         };
         let is_strong = |evidence, inliers| judged(&by(evidence), inliers, MIN_INLIERS).map(|m| m.is_strong);

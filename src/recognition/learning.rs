@@ -1,6 +1,5 @@
 //! What the recogniser learns: which frames become keyframes, and how they become findable.
 
-use super::candidate::Evidence;
 use super::look::Look;
 use super::recogniser::Recogniser;
 use super::{Decision, Recognition};
@@ -12,17 +11,29 @@ use crate::place_map::{
 };
 use crate::vocabulary::Light;
 
+/// Probability of another place from which a frame that joins one unasked becomes no keyframe.
+const LIKELY_OTHER: f32 = 0.1;
+
 impl Recogniser {
-    /// Whether the frame shows its place as none of the keyframes does. The CNN judges; without one,
-    /// whatever BoW+HV did not match is new.
+    /// Whether the frame shows its place as none of the keyframes does. The CNN judges; without one, whatever BoW+HV
+    /// did not match is new. Where the place was taken for known by what was seen before, or another one is likely, too,
+    /// no frame becomes a keyframe.
     pub(super) fn is_new_look(&self, recognition: &Recognition) -> bool {
-        let Some(model) = &self.model else { return recognition.decision != Decision::Revisited };
-        let known_by_cnn = recognition.candidates.iter().any(|candidate| {
-            candidate.by == Evidence::Cnn
-                && Some(candidate.place) == recognition.place
-                && candidate.score >= model.decision.recognise_above
-        });
-        !known_by_cnn
+        let is_doubtful = match recognition.decision {
+            Decision::Recognised | Decision::Revisited => {
+                recognition.inliers < Some(self.options.min_inliers)
+            }
+            _ => recognition.candidates.iter().any(|candidate| {
+                Some(candidate.place) != recognition.place && candidate.probability > LIKELY_OTHER
+            }),
+        };
+        if is_doubtful || self.model.is_none() {
+            return !is_doubtful && recognition.decision != Decision::Revisited;
+        }
+        !recognition
+            .candidates
+            .iter()
+            .any(|candidate| Some(candidate.place) == recognition.place && self.is_known_by_cnn(candidate))
     }
 
     /// Whether the place has no keyframe that may count as the condition yet: a place first seen by day is to

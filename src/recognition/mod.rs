@@ -1,15 +1,16 @@
 //! The decision: which place does this frame show?
 //!
-//! The CNN comes first: a frame whose descriptor is close enough to a keyframe's is `recognised`. Else
-//! BoW+HV decides: keyframes that share visual words are verified geometrically, and a verified one is
-//! `revisited`. Else the frame founds a new place, unless the place we are in was founded a moment ago
-//! (Algorithm 1 of the paper). Every candidate that was turned down says why.
+//! The CNN and geometry each name places; what they say of one together is its log odds, and what was believed before
+//! turns that into a probability (`fusion`, `belief`). The likeliest place above the threshold is `recognised`, or
+//! `revisited` where geometry says more than the CNN. Else the frame founds a new place, unless the place we are in was
+//! founded a moment ago (Algorithm 1 of the paper). Every candidate that was turned down says why.
 //!
 //! A pure state machine: the same frames give the same decisions, whatever the clock says.
 
 mod appearance;
-mod calibration;
+mod belief;
 mod candidate;
+mod fusion;
 mod identity;
 mod joining;
 mod keyframe_index;
@@ -21,8 +22,8 @@ mod renewal;
 mod visits;
 mod working_set;
 
-pub use calibration::{doubt, inlier_probability};
 pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
+pub use fusion::Clues;
 pub use joining::{Join, Support};
 pub use look::Look;
 pub use options::RecognitionOptions;
@@ -35,15 +36,15 @@ use crate::verification::Verification;
 /// What was decided about a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Decision {
-    /// The CNN knows the place.
+    /// A known place, above all by the CNN.
     Recognised,
-    /// BoW+HV, the fallback, matched and verified a keyframe of the place.
+    /// A known place, above all by a keyframe that BoW+HV, the fallback, matched and verified.
     Revisited,
     /// The place we are in was founded within the place interval δ_ep; the frame joins it.
     SamePlace,
     /// Nothing matched: a place was founded.
     NewPlace,
-    /// Nothing matched, and the map is read-only.
+    /// Nothing matched, and the map is read-only or a single frame is not enough to leave a known place.
     Unknown,
 }
 

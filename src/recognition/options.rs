@@ -7,9 +7,12 @@ use crate::verification::VerificationOptions;
 pub struct RecognitionOptions {
     /// δ_ep: sampled frames that join a place unasked after its founding; default 5.
     pub place_interval: u32,
-    /// Fewest effective inliers of a verified match; default 8, where the calibration
-    /// says that two of three are right.
+    /// Fewest effective inliers of two keyframes that may show one place; default 8.
     pub min_inliers: u32,
+    /// Least probability at which a place is taken for the right one; default 0.5.
+    pub accept_above: f32,
+    /// Whether what was seen before counts; default true.
+    pub sequence: bool,
     /// Most features that a keyframe keeps, so that it stays below 12 KiB; default 256.
     pub keyframe_features: usize,
     /// Most bytes of memory for the map and the keyframes that are searched; default 256 MiB.
@@ -27,6 +30,8 @@ impl Default for RecognitionOptions {
         Self {
             place_interval: 5,
             min_inliers: 8,
+            accept_above: 0.5,
+            sequence: true,
             keyframe_features: 256,
             memory_bytes: 256 << 20,
             read_only: false,

@@ -59,6 +59,7 @@ struct CandidateLine {
     score: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     inliers: Option<u32>,
+    probability: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     rejected: Option<String>,
 }
@@ -106,6 +107,7 @@ impl From<&Candidate> for CandidateLine {
             by: candidate.by.as_str(),
             score: rounded(candidate.score),
             inliers: candidate.inliers,
+            probability: rounded(candidate.probability),
             rejected: candidate.rejected.map(|rejection| rejection.to_string()),
         }
     }
@@ -156,6 +158,7 @@ mod tests {
             by: Evidence::Cnn,
             score: 0.993,
             inliers: None,
+            probability: 0.974,
             rejected: None,
         };
         let rejected = Candidate {
@@ -164,7 +167,8 @@ mod tests {
             by: Evidence::BowHv,
             score: 0.041,
             inliers: Some(6),
-            rejected: Some(Rejection::Inliers { got: 6, needed: 12 }),
+            probability: 0.004,
+            rejected: Some(Rejection::Unlikely { got: 0.004, needed: 0.5 }),
         };
         let recognition = Recognition {
             decision: Decision::Recognised,
@@ -202,8 +206,9 @@ mod tests {
         let expected = concat!(
             r#"{"frame":412,"capture_nanos":1723456789000000000,"decision":"recognised","by":"cnn","#,
             r#""place":17,"name":"dock 3","keyframe":233,"experience":412,"confidence":0.993,"inliers":null,"#,
-            r#""candidates":[{"place":17,"by":"cnn","score":0.993},"#,
-            r#"{"place":9,"by":"bow_hv","score":0.041,"inliers":6,"rejected":"inliers 6 < 12"}],"#,
+            r#""candidates":[{"place":17,"by":"cnn","score":0.993,"probability":0.974},"#,
+            r#"{"place":9,"by":"bow_hv","score":0.041,"inliers":6,"probability":0.004,"#,
+            r#""rejected":"probability 0.004 < 0.500"}],"#,
             r#""latency_us":{"decode":310,"features":980,"cnn":2100,"retrieval":120,"verification":60,"total":2600}}"#,
             "\n"
         );

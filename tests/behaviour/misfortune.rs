@@ -87,7 +87,9 @@ fn on_a_full_disk_the_robot_keeps_what_it_learnt_and_goes_on_recognising() {
     assert_eq!(records.len(), 60, "a line a frame");
     let kept = learnt(&records);
     assert!((5..30).contains(&kept), "{kept} learnt");
-    assert_eq!(learnt(&records[..kept]), kept, "something was learnt after the failure");
+    let is_of_use = |record: &Value| !record["experience"].is_null() || record["decision"] == "unknown";
+    let before = records.iter().position(|record| !is_of_use(record)).unwrap();
+    assert_eq!(learnt(&records[..before]), kept, "something was learnt after the failure");
     assert!(recognised(&records[30..30 + kept]) * 10 >= kept * 8, "{:?}", run.decisions());
     assert_eq!((&info(&map)["experiences"], &info(&map)["torn_bytes"]), (&kept.into(), &0.into()));
 

@@ -24,7 +24,7 @@ fn score(run: &Finished, truth: &[u32]) -> (usize, usize, usize) {
     let records = run.records();
     assert_eq!(records.len(), truth.len(), "a line a frame");
     for (index, (record, &place)) in records.iter().zip(truth).enumerate() {
-        let answer = record["place"].as_u64().unwrap();
+        let Some(answer) = record["place"].as_u64() else { continue };
         if index < FRAMES_PER_LAP {
             seen_at.entry(answer).or_default().insert(place);
         } else if ["recognised", "revisited"].contains(&record["decision"].as_str().unwrap()) {
@@ -106,13 +106,14 @@ fn sigterm_ends_a_run_with_everything_committed() {
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(program.stdout.take().unwrap()).lines();
-    let first = lines.by_ref().take(5).count();
+    let first: Vec<_> = lines.by_ref().take(5).collect();
     send("TERM", &program);
-    let answered = first + lines.count();
+    let answered: Vec<String> = first.into_iter().chain(lines).map(Result::unwrap).collect();
     assert_eq!(program.wait().unwrap().code(), Some(0));
     let map = &loci(&["map", "info", text(folder.path()), "--json"]).records()[0];
-    assert_eq!((&map["experiences"], &map["torn_bytes"]), (&answered.into(), &0.into()));
-    assert!(answered < 3000, "it ran to the end");
+    let learnt = answered.iter().filter(|line| !line.contains(r#""experience":null"#)).count();
+    assert_eq!((&map["experiences"], &map["torn_bytes"]), (&learnt.into(), &0.into()));
+    assert!(learnt > 0 && answered.len() < 3000, "it ran to the end");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use clap::{Args, ValueHint};
 use loci::evaluation::{ExperimentSpec, FramesSpec, TruthSettings};
 
 use crate::cli::WrongArgument;
-use crate::cli::settings::StreamSettings;
+use crate::cli::settings::{StreamSettings, Switch};
 use crate::cli::size::Size;
 
 /// The suite that is run when none is named.
@@ -147,6 +147,10 @@ struct SettingArguments {
     /// δ_ep: processed frames that join a place unasked after its founding [default: 5]
     #[arg(long, env = "LOCI_PLACE_INTERVAL", value_name = "N")]
     place_interval: Option<u32>,
+    /// Whether what the robot saw before counts, or every frame by itself; frames are always asked about one by one
+    /// [default: on]
+    #[arg(long, env = "LOCI_SEQUENCE", value_enum, value_name = "WHETHER")]
+    sequence: Option<Switch>,
     /// Most bytes of the robot's map; what tells least is given up [default: no bound]
     #[arg(long, env = "LOCI_MAP_DISK", value_name = "SIZE")]
     map_disk: Option<Size>,
@@ -197,6 +201,7 @@ impl EvaluateArguments {
             onnxruntime: self.settings.onnxruntime.clone(),
             sample_interval: self.frames.sample_interval,
             place_interval: self.settings.place_interval,
+            sequence: self.settings.sequence,
             map_disk: self.settings.map_disk,
             map_memory: self.settings.map_memory,
             grow_vocabulary: self.settings.grow_vocabulary,

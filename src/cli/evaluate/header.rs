@@ -57,6 +57,8 @@ fn setting_values(
         ("keyframe_features", recognition.keyframe_features.to_string()),
         ("map_memory_bytes", recognition.memory_bytes.to_string()),
         ("map_disk_bytes", map.disk_bytes.to_string()),
+        ("accept_above", recognition.accept_above.to_string()),
+        ("sequence", recognition.sequence.to_string()),
         ("min_inliers", recognition.min_inliers.to_string()),
         ("retrieval.max_retrieved", MAX_RETRIEVED.to_string()),
         ("verification.loose_tolerance", verification.loose_tolerance.to_string()),

@@ -84,7 +84,7 @@ fn level(record: &FrameRecord) -> &'static str {
     }
 }
 
-/// For example `recognised place 17 by cnn, 0.993; not 9: inliers 6 < 12`.
+/// For example `recognised place 17 by cnn, 0.993; not 9: probability 0.004 < 0.500`.
 fn log_line(record: &FrameRecord) -> String {
     let recognition = &record.recognition;
     let mut line = style::words(recognition.decision).to_owned();

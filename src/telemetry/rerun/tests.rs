@@ -52,7 +52,8 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
         by: Evidence::BowHv,
         score: 0.041,
         inliers: Some(6),
-        rejected: Some(Rejection::Inliers { got: 6, needed: 12 }),
+        probability: 0.5,
+        rejected: Some(Rejection::Unlikely { got: 0.25, needed: 0.8 }),
     };
     let recognition = Recognition {
         decision,
@@ -251,9 +252,12 @@ fn names_from_outside_cannot_break_out_of_the_answer() {
     let chunks = recorded(&[record(0, Decision::Recognised)]);
     let page = values(&chunks, style::NOW, "TextDocument:text");
     assert!(page.contains(r"dock\\|\\*3\\* \\# x") || page.contains(r"dock\|\*3\* \# x"), "{page}");
-    assert!(page.contains("inliers 6 < 12"), "{page}");
+    assert!(page.contains("probability 0.250 < 0.800"), "{page}");
     let log = values(&chunks, style::LOG, "TextLog:text");
-    assert!(log.contains("recognised place 17 (dock|*3* # x), 0.993; not 9: inliers 6 < 12"), "{log}");
+    assert!(
+        log.contains("recognised place 17 (dock|*3* # x), 0.993; not 9: probability 0.250 < 0.800"),
+        "{log}"
+    );
 }
 
 #[test]

@@ -1,0 +1,185 @@
+"""Fits the weights by which the program takes what the CNN and geometry say of a place together.
+
+    python3 models/fuse.py target/release/loci --tower DIR          (one folder a floor, frames in order of their names)
+
+Maps are founded by the program itself, and other frames are looked at with them, read only:
+
+    synthetic    both worlds, seeds 31, 33 and 34: a lap at noon is mapped; another lap at noon, at dusk and at night is
+                 looked at, right within two frames of sixty; and a lap of a world that is not in the map
+    real         every other floor of IE Tower VPR is mapped; altered copies of its frames are looked at (moved camera,
+                 other light, worse sensor, something in the way), right within two frames; and the floors between, which
+                 look alike and are in no map; both ways round
+
+Of every frame count the right and the wrong place that the CNN, and those that geometry, holds for the likeliest: between
+these a decision is made. Right and wrong weigh the same. Prints the constants of src/recognition/fusion.rs; needs a quarter
+of an hour. Nothing else is looked at: none of the sequences on which figures are reported, but that the tower's floors are
+also asked about as strangers to each other.
+"""
+
+import argparse
+import json
+import re
+import subprocess
+import tempfile
+import tomllib
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageFilter
+
+import fit
+
+SEEDS = (31, 33, 34)
+LAP_FRAMES = 60
+TOLERANCE_FRAMES = 2
+RIDGE = 1e-2
+CARD = Path(__file__).parent / "efficientnet-lite0" / "card.toml"
+
+
+# ---------------------------------------------------------------- frames
+
+
+def altered(picture, random):
+    """The same view on another day."""
+    width, height = picture.size
+    share = random.uniform(0.7, 1.0, 2)
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * share + random.uniform(0, 1, 2) * (1 - share)
+    corners = np.clip(corners + random.uniform(-0.06, 0.06, (4, 2)), 0, 1) * [width, height]
+    square = fit.perspective(corners, width)
+    picture = picture.transform((width, width), Image.Transform.PERSPECTIVE, square, Image.Resampling.BILINEAR)
+    picture = picture.resize((width, height), Image.Resampling.BILINEAR)
+    if random.uniform() < 0.4:
+        picture = picture.filter(ImageFilter.GaussianBlur(random.uniform(0.5, 2.5)))
+    values = np.asarray(picture, float) / 255
+    across, down = np.linspace(-1, 1, width)[None, :], np.linspace(-1, 1, height)[:, None]
+    light = random.uniform(-0.5, 0.3) + random.uniform(-0.5, 0.5) * across + random.uniform(-0.5, 0.5) * down
+    values = values ** np.exp(random.uniform(-0.7, 0.7)) * np.exp(light)[..., None]
+    if random.uniform() < 0.25:
+        values = values * random.uniform(0.12, 0.5)
+    values = values + random.normal(0, random.uniform(0, 0.04), values.shape)
+    if random.uniform() < 0.5:
+        left, top = int(random.uniform(0, 0.7) * width), int(random.uniform(0, 0.5) * height)
+        values[top:top + int(random.uniform(0.2, 0.5) * height), left:left + int(random.uniform(0.1, 0.3) * width)] = random.uniform(0, 1, 3)
+    return Image.fromarray(np.clip(255 * values, 0, 255).astype(np.uint8))
+
+
+def floors(tower, folder):
+    """Folders of frames: the even and the odd floors as links, and altered copies of each."""
+    frames, floor = fit.walk_frames(tower)
+    names = np.unique(floor)
+    random = np.random.default_rng(fit.SEED)
+    for parity, half in enumerate(("even", "odd")):
+        copies = folder / f"{half}-altered"
+        for part in (folder / half, copies):
+            part.mkdir()
+        chosen = [frame for frame, name in zip(frames, floor) if name in names[parity::2]]
+        for index, frame in enumerate(chosen):
+            (folder / half / f"{index:05d}.jpg").symlink_to(frame.resolve())
+            altered(Image.open(frame).convert("RGB"), random).save(copies / f"{index:05d}.jpg", quality=int(random.uniform(40, 92)))
+
+
+def experiments(folder):
+    """(mapped, looked at, whether a frame looked at shows what a mapped one does)."""
+    def within(frame, mapped):
+        return abs(frame - mapped) <= TOLERANCE_FRAMES
+
+    def in_a_later_lap(frame, mapped):
+        return frame >= LAP_FRAMES and min((frame - mapped) % LAP_FRAMES, (mapped - frame) % LAP_FRAMES) <= TOLERANCE_FRAMES
+
+    def never(*_):
+        return False
+
+    for half, other in (("even", "odd"), ("odd", "even")):
+        yield folder / half, folder / f"{half}-altered", within
+        yield folder / half, folder / other, never
+    for world in ("street", "corridor"):
+        for seed in SEEDS:
+            mapped = f"synthetic:{world}?laps=1&light=noon&seed={seed}"
+            for light in ("noon", "dusk", "night"):
+                yield mapped, f"synthetic:{world}?laps=2&light={light}&seed={seed}", in_a_later_lap
+            yield mapped, f"synthetic:{world}?laps=1&light=dusk&seed={seed + 50}", never
+
+
+# ---------------------------------------------------------------- evidence
+
+
+def run(program, *arguments):
+    answer = subprocess.run([program, *map(str, arguments)], check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    return answer.stdout.decode()
+
+
+def evidence(program, mapped, looked_at, is_same, folder):
+    """Of every frame, place by place: (cosine, effective inliers, right)."""
+    place_map = folder / re.sub(r"\W", "_", str(mapped))
+    if not place_map.exists():
+        run(program, "run", mapped, "--map", place_map)
+    known = json.loads(run(program, "map", "export", place_map, "--out", "-"))
+    frame_of = {experience["experience"]: int(experience["frame_index"]) for experience in known["experiences"]}
+    shows = {place["id"]: [frame_of[id] for id in place["experiences"]] for place in known["places"]}
+    first = LAP_FRAMES if "laps=2" in str(looked_at) else 0
+    for line in run(program, "run", looked_at, "--map", place_map, "--read-only", "--sequence", "off", "--json").splitlines():
+        record = json.loads(line)
+        frame, candidates = record["frame"], record["candidates"]
+        cosines = [candidate["score"] for candidate in candidates if candidate["by"] == "cnn"]
+        if frame < first or not cosines:
+            continue
+        found = {}
+        for candidate in candidates:
+            cosine, inliers = found.get(candidate["place"], (min(cosines), 0))
+            if candidate["by"] == "cnn":
+                cosine = max(cosine, candidate["score"])
+            found[candidate["place"]] = cosine, max(inliers, candidate.get("inliers") or 0)
+        yield [(*said, any(is_same(frame, mapped) for mapped in shows[place])) for place, said in found.items()]
+
+
+def contested(frames):
+    """(cosine, inliers, right, weight) of the places that a decision is about."""
+    for places in frames:
+        for is_right in (True, False):
+            alike = [place for place in places if place[2] == is_right]
+            if alike:
+                chosen = {max(alike, key=lambda place: place[0]), max(alike, key=lambda place: place[1])}
+                yield from ((*place, 1 / len(chosen)) for place in chosen)
+
+
+def logistic(design, right, weights):
+    """The likeliest weights of the columns, both kinds weighing the same."""
+    share = np.where(right, weights[right].sum(), weights[~right].sum())
+    weights = weights / share * len(right) / 2
+    spread = np.maximum(design.std(0), 1e-9)
+    spread[0] = 1
+    design, solution = design / spread, np.zeros(design.shape[1])
+    for _ in range(80):
+        chance = 1 / (1 + np.exp(-design @ solution))
+        slope = design.T @ (weights * (right - chance)) - RIDGE * solution
+        curvature = design.T @ (design * (weights * chance * (1 - chance))[:, None]) + RIDGE * np.eye(len(solution))
+        solution += np.linalg.solve(curvature, slope)
+    return solution / spread
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("program", type=Path, help="the program loci")
+    parser.add_argument("--tower", type=Path, required=True, help="folder with one folder of frames a floor")
+    arguments = parser.parse_args()
+    decision = tomllib.loads(CARD.read_text())["decision"]
+    seen = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        floors(arguments.tower, folder)
+        for mapped, looked_at, is_same in experiments(folder):
+            frames = list(evidence(arguments.program.resolve(), mapped, looked_at, is_same, folder))
+            seen += contested(frames)
+            print(f"# {Path(str(mapped)).name} by {Path(str(looked_at)).name}: {len(frames)} frames", flush=True)
+    cosine, inliers, right, weights = (np.array(column, float) for column in zip(*seen))
+    right, one = right.astype(bool), np.ones(len(right))
+    by_cnn = decision["calibration_slope"] * cosine + decision["calibration_offset"]
+    together = logistic(np.stack([one, by_cnn, np.log1p(inliers), np.minimum(inliers, 1)], 1), right, weights)
+    geometry = logistic(np.stack([one, inliers], 1), right, weights)
+    print(f"# {len(right)} places in contest, {right.sum()} of them right")
+    print("TOGETHER =", [round(float(weight), 3) for weight in together])
+    print("GEOMETRY =", [round(float(weight), 3) for weight in geometry])
+
+
+if __name__ == "__main__":
+    main()
