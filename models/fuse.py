@@ -6,14 +6,15 @@ Maps are founded by the program itself, and other frames are looked at with them
 
     synthetic    both worlds, seeds 31, 33 and 34: a lap at noon is mapped; another lap at noon, at dusk and at night is
                  looked at, right within two frames of sixty; and a lap of a world that is not in the map
-    real         every other floor of IE Tower VPR is mapped; altered copies of its frames are looked at (moved camera,
-                 other light, worse sensor, something in the way), right within two frames; and the floors between, which
-                 look alike and are in no map; both ways round
+    real         every other floor of IE Tower VPR is mapped; altered copies of its frames (moved camera, other light, worse
+                 sensor, something in the way) and copies by night are looked at, right within two frames; and the floors
+                 between, which look alike and are in no map, by day and by night; both ways round
 
-Of every frame count the right and the wrong place that the CNN, and those that geometry, holds for the likeliest: between
-these a decision is made. Right and wrong weigh the same. Prints the constants of src/recognition/fusion.rs; needs a quarter
-of an hour. Nothing else is looked at: none of the sequences on which figures are reported, but that the tower's floors are
-also asked about as strangers to each other.
+Of every frame count the right and the wrong place that the CNN holds for the likeliest, that geometry does, and that is
+farthest ahead of what else the CNN finds: between these a decision is made. Right and wrong weigh the same. Prints the
+[fusion] table of the card and the constant of src/recognition/fusion.rs; needs a quarter of an hour. Nothing else is looked
+at: none of the sequences on which figures are reported, but that the tower's floors are also asked about as strangers to
+each other.
 """
 
 import argparse
@@ -28,10 +29,13 @@ import numpy as np
 from PIL import Image, ImageFilter
 
 import fit
+import night
 
 SEEDS = (31, 33, 34)
 LAP_FRAMES = 60
 TOLERANCE_FRAMES = 2
+NIGHT_SIDE_PX = 448
+RIVAL = 4
 RIDGE = 1e-2
 CARD = Path(__file__).parent / "efficientnet-lite0" / "card.toml"
 
@@ -63,19 +67,28 @@ def altered(picture, random):
     return Image.fromarray(np.clip(255 * values, 0, 255).astype(np.uint8))
 
 
+def by_night(picture, random):
+    """The same view by night."""
+    square = picture.resize((NIGHT_SIDE_PX, NIGHT_SIDE_PX), Image.Resampling.BILINEAR)
+    values = night.photographed(np.asarray(square, np.float32) / 255, random)
+    return Image.fromarray(np.clip(255 * values, 0, 255).astype(np.uint8)).resize(picture.size, Image.Resampling.BILINEAR)
+
+
 def floors(tower, folder):
-    """Folders of frames: the even and the odd floors as links, and altered copies of each."""
+    """Folders of frames: the even and the odd floors as links, and altered copies and copies by night of each."""
     frames, floor = fit.walk_frames(tower)
     names = np.unique(floor)
     random = np.random.default_rng(fit.SEED)
     for parity, half in enumerate(("even", "odd")):
-        copies = folder / f"{half}-altered"
-        for part in (folder / half, copies):
+        copies, nights = folder / f"{half}-altered", folder / f"{half}-night"
+        for part in (folder / half, copies, nights):
             part.mkdir()
         chosen = [frame for frame, name in zip(frames, floor) if name in names[parity::2]]
         for index, frame in enumerate(chosen):
             (folder / half / f"{index:05d}.jpg").symlink_to(frame.resolve())
-            altered(Image.open(frame).convert("RGB"), random).save(copies / f"{index:05d}.jpg", quality=int(random.uniform(40, 92)))
+            picture = Image.open(frame).convert("RGB")
+            altered(picture, random).save(copies / f"{index:05d}.jpg", quality=int(random.uniform(40, 92)))
+            by_night(picture, random).save(nights / f"{index:05d}.jpg", quality=int(random.uniform(50, 92)))
 
 
 def experiments(folder):
@@ -90,8 +103,10 @@ def experiments(folder):
         return False
 
     for half, other in (("even", "odd"), ("odd", "even")):
-        yield folder / half, folder / f"{half}-altered", within
-        yield folder / half, folder / other, never
+        for copies in ("altered", "night"):
+            yield folder / half, folder / f"{half}-{copies}", within
+        for strangers in (other, f"{other}-night"):
+            yield folder / half, folder / strangers, never
     for world in ("street", "corridor"):
         for seed in SEEDS:
             mapped = f"synthetic:{world}?laps=1&light=noon&seed={seed}"
@@ -109,36 +124,46 @@ def run(program, *arguments):
 
 
 def evidence(program, mapped, looked_at, is_same, folder):
-    """Of every frame, place by place: (cosine, effective inliers, right)."""
+    """Of every frame, place by place: (cosine, margin, effective inliers, margin of ln(1 + inliers), right)."""
     place_map = folder / re.sub(r"\W", "_", str(mapped))
     if not place_map.exists():
         run(program, "run", mapped, "--map", place_map)
     known = json.loads(run(program, "map", "export", place_map, "--out", "-"))
     frame_of = {experience["experience"]: int(experience["frame_index"]) for experience in known["experiences"]}
     shows = {place["id"]: [frame_of[id] for id in place["experiences"]] for place in known["places"]}
+    near = {place["id"]: {place["id"], *place["neighbours"]} for place in known["places"]}
     first = LAP_FRAMES if "laps=2" in str(looked_at) else 0
     for line in run(program, "run", looked_at, "--map", place_map, "--read-only", "--sequence", "off", "--json").splitlines():
         record = json.loads(line)
         frame, candidates = record["frame"], record["candidates"]
-        cosines = [candidate["score"] for candidate in candidates if candidate["by"] == "cnn"]
-        if frame < first or not cosines:
+        named = {candidate["place"]: candidate["score"] for candidate in candidates if candidate["by"] == "cnn"}
+        if frame < first or not named:
             continue
         found = {}
         for candidate in candidates:
-            cosine, inliers = found.get(candidate["place"], (min(cosines), 0))
+            cosine, inliers = found.get(candidate["place"], (min(named.values()), 0))
             if candidate["by"] == "cnn":
                 cosine = max(cosine, candidate["score"])
             found[candidate["place"]] = cosine, max(inliers, candidate.get("inliers") or 0)
-        yield [(*said, any(is_same(frame, mapped) for mapped in shows[place])) for place, said in found.items()]
+        yield [(*ahead(place, found, named, near[place]), any(is_same(frame, mapped) for mapped in shows[place])) for place in found]
+
+
+def ahead(place, found, named, near):
+    """Cosine and inliers of a place, each with what it is ahead of others, as src/recognition/fusion.rs has it."""
+    cosine, inliers = found[place]
+    others = sorted((score for other, score in named.items() if other != place), reverse=True)
+    cosine_margin = cosine - others[RIVAL - 1] if len(others) >= RIVAL else 0
+    rivals = [inliers for other, (_, inliers) in found.items() if other not in near]
+    return cosine, cosine_margin, inliers, np.log1p(inliers) - np.log1p(max(rivals)) if rivals else 0
 
 
 def contested(frames):
-    """(cosine, inliers, right, weight) of the places that a decision is about."""
+    """What was found, whether it is right, and a weight, of the places that a decision is about."""
     for places in frames:
         for is_right in (True, False):
-            alike = [place for place in places if place[2] == is_right]
+            alike = [place for place in places if place[-1] == is_right]
             if alike:
-                chosen = {max(alike, key=lambda place: place[0]), max(alike, key=lambda place: place[1])}
+                chosen = {max(alike, key=lambda place: place[clue]) for clue in range(3)}
                 yield from ((*place, 1 / len(chosen)) for place in chosen)
 
 
@@ -171,14 +196,15 @@ def main():
             frames = list(evidence(arguments.program.resolve(), mapped, looked_at, is_same, folder))
             seen += contested(frames)
             print(f"# {Path(str(mapped)).name} by {Path(str(looked_at)).name}: {len(frames)} frames", flush=True)
-    cosine, inliers, right, weights = (np.array(column, float) for column in zip(*seen))
+    cosine, margin, inliers, inlier_margin, right, weights = (np.array(column, float) for column in zip(*seen))
     right, one = right.astype(bool), np.ones(len(right))
-    by_cnn = decision["calibration_slope"] * cosine + decision["calibration_offset"]
-    together = logistic(np.stack([one, by_cnn, np.log1p(inliers), np.minimum(inliers, 1)], 1), right, weights)
-    geometry = logistic(np.stack([one, inliers], 1), right, weights)
+    slope, offset = decision["calibration_slope"], decision["calibration_offset"]
+    geometry = [np.log1p(inliers), np.minimum(inliers, 1), inlier_margin]
+    together = logistic(np.stack([one, slope * cosine + offset, slope * margin, *geometry], 1), right, weights)
+    names = ("offset", "cosine", "cosine_margin", "inliers", "any_inliers", "inlier_margin")
     print(f"# {len(right)} places in contest, {right.sum()} of them right")
-    print("TOGETHER =", [round(float(weight), 3) for weight in together])
-    print("GEOMETRY =", [round(float(weight), 3) for weight in geometry])
+    print("[fusion]", *(f"{name} = {weight:.3f}" for name, weight in zip(names, together)), sep="\n")
+    print("GEOMETRY =", [round(float(weight), 3) for weight in logistic(np.stack([one, *geometry], 1), right, weights)])
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ mod demo;
 mod doctor;
 #[cfg(feature = "evaluation")]
 mod evaluate;
+mod explain;
 mod map;
 mod run;
 mod settings;

@@ -7,6 +7,7 @@ use clap::Args;
 use loci::telemetry::{JsonLines, RecognitionSink};
 
 use super::console::{HumanLines, Reporter, counted, outcome, summary_text};
+use super::explain::{Awaited, Explanations};
 use super::settings::StreamSettings;
 use super::{Outcome, stream};
 
@@ -15,6 +16,7 @@ use super::{Outcome, stream};
 #[command(after_help = "Examples:\n  \
     loci run recordings/monday --map maps/site\n  \
     loci run recordings/tuesday --map maps/site --read-only --json\n  \
+    loci run recordings/tuesday --map maps/site --read-only --explain 412\n  \
     loci run 'synthetic:street?laps=3&light=noon,dusk,night' --rerun save=street.rrd")]
 pub(super) struct RunArguments {
     /// A folder of images; a video file; synthetic:WORLD?laps=2&light=noon,dusk&seed=7 (WORLD: street, corridor); or
@@ -28,15 +30,21 @@ pub(super) struct RunArguments {
     /// Print a JSON object a frame instead of a line for people
     #[arg(long)]
     json: bool,
+    /// Print why frame FRAME was decided as it was instead of a line a frame; may be given several times
+    #[arg(long, value_name = "FRAME", conflicts_with = "json")]
+    explain: Vec<u64>,
 }
 
 /// Runs the stream and says what came of it.
 pub(super) fn run(arguments: RunArguments) -> anyhow::Result<Outcome> {
     let settings = arguments.settings.completed(arguments.config.as_deref())?;
+    let awaited = Awaited::new(&arguments.explain);
     let lines: Box<dyn RecognitionSink> = if arguments.json {
         Box::new(JsonLines::new(io::stdout()))
-    } else {
+    } else if arguments.explain.is_empty() {
         Box::new(HumanLines(io::stdout()))
+    } else {
+        Box::new(Explanations { output: io::stdout(), awaited: awaited.clone() })
     };
     let stop = stream::stop_flag()?;
     let pipeline = stream::pipeline(&arguments.source, &settings, vec![lines])?;
@@ -49,6 +57,10 @@ pub(super) fn run(arguments: RunArguments) -> anyhow::Result<Outcome> {
     eprintln!("{}", summary_text(&summary));
     if summary.frames == 0 && summary.skipped > 0 {
         anyhow::bail!("none of {} could be read", counted(summary.skipped, "frame"));
+    }
+    if let Some(frame) = awaited.missed() {
+        let range = "frames are counted from 0, and with a sample interval not all are looked at";
+        anyhow::bail!("frame {frame} cannot be explained, for it was not looked at; {range}");
     }
     Ok(outcome(&summary))
 }

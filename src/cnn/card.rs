@@ -42,6 +42,9 @@ pub struct ModelCard {
     pub descriptor: DescriptorCard,
     /// What an answer means.
     pub decision: DecisionCard,
+    /// What it means together with geometry; those of the shipped model where the card does not say.
+    #[serde(default)]
+    pub fusion: FusionCard,
     /// What it learnt from.
     pub training: TrainingCard,
     /// Measured figures, for people: name to value with unit.
@@ -87,6 +90,47 @@ pub struct DecisionCard {
     pub calibration_slope: f32,
     /// Offset of the logistic calibration.
     pub calibration_offset: f32,
+}
+
+/// A logistic model of what the network and geometry say together of a place: the weights of its log odds.
+#[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct FusionCard {
+    /// Where everything else is zero.
+    pub offset: f32,
+    /// Of the log odds that the calibration gives the cosine.
+    pub cosine: f32,
+    /// Of what these log odds are more than those of the fourth most alike of the other places.
+    pub cosine_margin: f32,
+    /// Of ln(1 + effective inliers).
+    pub inliers: f32,
+    /// Of there being inliers at all.
+    pub any_inliers: f32,
+    /// Of what ln(1 + effective inliers) is more than that of the best place not next to it.
+    pub inlier_margin: f32,
+    /// What the weights were fitted on, for people.
+    pub data: String,
+}
+
+impl Default for FusionCard {
+    /// The weights of the shipped model. They are of calibrated log odds, so they hold for other networks, too.
+    fn default() -> Self {
+        Self {
+            offset: -1.510,
+            cosine: 0.326,
+            cosine_margin: 0.333,
+            inliers: 1.327,
+            any_inliers: -3.568,
+            inlier_margin: 1.072,
+            data: "those of efficientnet-lite0, version 2".to_owned(),
+        }
+    }
+}
+
+impl FusionCard {
+    fn weights(&self) -> [f32; 6] {
+        [self.offset, self.cosine, self.cosine_margin, self.inliers, self.any_inliers, self.inlier_margin]
+    }
 }
 
 /// What the network and its calibration learnt from.
@@ -163,6 +207,10 @@ impl ModelCard {
                 "decision.calibration_slope is not finite or is negative",
             ),
             (self.decision.calibration_offset.is_finite(), "decision.calibration_offset is not finite"),
+            (
+                self.fusion.weights().iter().all(|weight| weight.is_finite()),
+                "a weight of fusion is not finite",
+            ),
         ];
         rules.iter().find(|(holds, _)| !holds).map_or(Ok(()), |(_, rule)| Err((*rule).to_owned()))
     }

@@ -133,7 +133,8 @@ impl<'a> FrameDatabase<'a> {
     }
 
     fn by_bow_hv(&self, verified: &[(u32, usize)]) -> Answer {
-        let found = verified.iter().map(|&(inliers, reference)| (reference, Clues { cosine: None, inliers }));
+        let found =
+            verified.iter().map(|&(inliers, reference)| (reference, Clues { inliers, ..Clues::default() }));
         self.by_probability(found.collect())
     }
 
@@ -143,7 +144,10 @@ impl<'a> FrameDatabase<'a> {
         let references = alike.iter().map(|found| found.1).chain(verified.iter().map(|found| found.1));
         for reference in references {
             let inliers = verified.iter().find(|found| found.1 == reference).map_or(0, |found| found.0);
-            clues.insert(reference, Clues { cosine: self.cosine(query, reference), inliers });
+            clues.insert(
+                reference,
+                Clues { cosine: self.cosine(query, reference), inliers, ..Clues::default() },
+            );
         }
         self.by_probability(clues.into_iter().collect())
     }
@@ -162,7 +166,7 @@ impl<'a> FrameDatabase<'a> {
 }
 
 /// Why a candidate of which so much is known is accepted, or not.
-fn reason(Clues { cosine, inliers }: Clues, probability: f64, needed: f64) -> String {
+fn reason(Clues { cosine, inliers, .. }: Clues, probability: f64, needed: f64) -> String {
     let cosine = cosine.map_or(String::new(), |cosine| format!("cosine {cosine:.3}, "));
     let relation = if probability >= needed { "≥" } else { "<" };
     format!("{cosine}{inliers} effective inliers: probability {probability:.3} {relation} {needed:.3}")

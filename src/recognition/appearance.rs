@@ -96,6 +96,7 @@ impl Entry {
             keyframe: self.keyframe,
             by: Evidence::Cnn,
             score,
+            votes: None,
             inliers: None,
             probability: 0.0,
             rejected: None,

@@ -46,6 +46,8 @@ pub struct Candidate {
     pub by: Evidence,
     /// Cosine of the CNN descriptors, or L1 score of the BoW vectors.
     pub score: f32,
+    /// Hough votes of the best transform, once verified.
+    pub votes: Option<f32>,
     /// Effective inliers, once verified.
     pub inliers: Option<u32>,
     /// Probability that the frame shows the place, by all that it and those before it say of it; 0 until that is asked.
@@ -64,10 +66,19 @@ pub enum Rejection {
         /// How likely it would have to be.
         needed: f32,
     },
+    /// A place next to it, which shows much the same, is likelier.
+    NextIsLikelier,
     /// What was seen before speaks for it, but not the frame.
     NotSeen,
     /// It is the place we are in, founded so recently that its frames join it unasked.
     WithinPlaceInterval,
+    /// The CNN is sure of it, but geometry verified another place, and the robot is believed to be there.
+    Overruled {
+        /// Whose place.
+        by: PlaceId,
+        /// Effective inliers of that.
+        inliers: u32,
+    },
     /// Another candidate was accepted before it.
     Outdone {
         /// Whose place.
@@ -79,8 +90,12 @@ impl fmt::Display for Rejection {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unlikely { got, needed } => write!(formatter, "probability {got:.3} < {needed:.3}"),
+            Self::NextIsLikelier => write!(formatter, "a place next to it is likelier"),
             Self::NotSeen => write!(formatter, "expected, but not seen in the frame"),
             Self::WithinPlaceInterval => write!(formatter, "within the place interval"),
+            Self::Overruled { by, inliers } => {
+                write!(formatter, "geometry overrules the CNN: place {} has {inliers} inliers", by.0)
+            }
             Self::Outdone { by } => write!(formatter, "place {} was accepted", by.0),
         }
     }

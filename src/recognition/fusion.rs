@@ -1,7 +1,8 @@
 //! What the CNN and geometry say together of one place.
 //!
-//! A logistic model over few numbers. Its weights and those of geometry alone were fitted by `models/fuse.py`, which
-//! says on what. Where the CNN's threshold is passed, that alone says enough: by night there may be no geometry to ask.
+//! A logistic model over few numbers: how alike the place is and how many effective inliers agree, and by how much it is
+//! ahead of others (Lowe's ratio test, for places). What is about as alike as many places may be any of them. Its weights are
+//! in the model's card, those of geometry alone here; both were fitted by `models/fuse.py`, which says on what.
 
 use std::collections::BTreeMap;
 
@@ -9,35 +10,51 @@ use super::candidate::{Candidate, Evidence};
 use crate::cnn::ModelCard;
 use crate::place_map::{ExperienceId, PlaceId};
 
-/// Log odds that a place is right: offset, and weights of the log odds that the CNN gives, of ln(1 + effective inliers)
-/// and of there being inliers at all.
-const TOGETHER: [f32; 4] = [-1.511, 0.275, 2.491, -3.996];
-/// The same where no CNN takes part: offset, and weight of the effective inliers.
-const GEOMETRY: [f32; 2] = [-1.313, 0.202];
-/// Log odds that a place is right whose cosine passes the threshold, which one in two hundred frames of other places
-/// does: half of the frames of the place itself do, too.
-const PASSED: f32 = 4.6;
+/// Log odds that a place is right where no CNN takes part: offset, and weights of ln(1 + effective inliers), of there being
+/// any, and of what that logarithm is more than that of the best other place.
+const GEOMETRY: [f32; 4] = [-0.897, 2.121, -4.783, 1.14];
 
-/// What was found of one place in a frame.
+/// Which of the other places that the CNN names, the most alike first, a place has to be ahead of.
+const RIVAL: usize = 4;
+
+/// What was found of one place in a frame, and of others.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Clues {
     /// Cosine of the CNN descriptors, if a CNN takes part.
     pub cosine: Option<f32>,
+    /// Cosine of the fourth most alike of the other places; `None` where there are fewer to compare with. The first three
+    /// may share its view.
+    pub rival_cosine: Option<f32>,
     /// Effective inliers; 0 where geometry found nothing.
     pub inliers: u32,
+    /// The most effective inliers of a place that is not next to it; `None` where none was verified.
+    pub rival_inliers: Option<u32>,
 }
 
 impl Clues {
-    /// Log odds that the place is right, all places and none of them being as likely before.
+    /// Log odds that the place is right, it and being somewhere else having been as likely before.
     #[must_use]
     pub fn log_odds(self, model: Option<&ModelCard>) -> f32 {
-        let inliers = self.inliers as f32;
+        let inliers = (self.inliers as f32).ln_1p();
+        let any = if self.inliers > 0 { 1.0 } else { 0.0 };
+        let inlier_margin = self.rival_inliers.map_or(0.0, |rival| inliers - (rival as f32).ln_1p());
         let (Some(model), Some(cosine)) = (model, self.cosine) else {
-            return GEOMETRY[0] + GEOMETRY[1] * inliers;
+            return GEOMETRY[0] + GEOMETRY[1] * inliers + GEOMETRY[2] * any + GEOMETRY[3] * inlier_margin;
         };
-        let found = [1.0, model.log_odds(cosine), inliers.ln_1p(), inliers.min(1.0)];
-        let together: f32 = TOGETHER.iter().zip(found).map(|(weight, value)| weight * value).sum();
-        if cosine >= model.decision.recognise_above { together.max(PASSED) } else { together }
+        let alike = model.log_odds(cosine);
+        let margin = self.rival_cosine.map_or(0.0, |rival| alike - model.log_odds(rival));
+        let weights = &model.fusion;
+        weights.offset
+            + weights.cosine * alike
+            + weights.cosine_margin * margin
+            + weights.inliers * inliers
+            + weights.any_inliers * any
+            + weights.inlier_margin * inlier_margin
+    }
+
+    /// Whether anything was found of the place at all.
+    pub(super) fn are_any(self) -> bool {
+        self.cosine.is_some() || self.inliers > 0
     }
 
     /// The probability of that.
@@ -47,30 +64,36 @@ impl Clues {
     }
 }
 
-/// [Log odds](Clues::log_odds) of each candidate's place. Candidates that were turned down count for nothing.
-/// `is_described` says which keyframes the CNN could have found.
-pub(super) fn log_odds(
+/// The clues of each candidate's place. Candidates that were turned down count for nothing. `is_described` says which
+/// keyframes the CNN could have found, `are_next` which places lie next to each other along the ways of the robot.
+pub(super) fn clues(
     candidates: &[Candidate],
-    model: Option<&ModelCard>,
     is_described: impl Fn(ExperienceId) -> bool,
-) -> BTreeMap<PlaceId, f32> {
+    are_next: impl Fn(PlaceId, PlaceId) -> bool,
+) -> BTreeMap<PlaceId, Clues> {
     let open = || candidates.iter().filter(|candidate| candidate.rejected.is_none());
     let by_cnn = || open().filter(|candidate| candidate.by == Evidence::Cnn);
-    // What is no candidate of the CNN's is at most as alike as the last of them, and passes no threshold.
+    // What is no candidate of the CNN's is at most as alike as the last of them.
     let least = by_cnn().map(|candidate| candidate.score).reduce(f32::min);
-    let least = least.zip(model).map(|(least, model)| least.min(model.decision.recognise_above.next_down()));
     let mut clues: BTreeMap<PlaceId, Clues> = BTreeMap::new();
     for candidate in open() {
         let cosine = match candidate.by {
             Evidence::Cnn => Some(candidate.score),
             _ => least.filter(|_| is_described(candidate.keyframe)),
         };
-        let inliers = candidate.inliers.unwrap_or_default();
         let known = clues.entry(candidate.place).or_default();
         known.cosine = [known.cosine, cosine].into_iter().flatten().reduce(f32::max);
-        known.inliers = known.inliers.max(inliers);
+        known.inliers = known.inliers.max(candidate.inliers.unwrap_or_default());
     }
-    clues.into_iter().map(|(place, clues)| (place, clues.log_odds(model))).collect()
+    let inliers: Vec<(PlaceId, u32)> = clues.iter().map(|(&place, clues)| (place, clues.inliers)).collect();
+    for (&place, clues) in &mut clues {
+        // They come best first, one a place.
+        let mut others = by_cnn().filter(|candidate| candidate.place != place);
+        clues.rival_cosine = others.nth(RIVAL - 1).map(|candidate| candidate.score);
+        let others = inliers.iter().filter(|&&(other, _)| other != place && !are_next(place, other));
+        clues.rival_inliers = others.map(|&(_, inliers)| inliers).max();
+    }
+    clues
 }
 
 #[cfg(test)]
@@ -91,21 +114,27 @@ mod tests {
 
     fn candidate(place: u32, by: Evidence, score: f32, inliers: Option<u32>) -> Candidate {
         let (place, keyframe) = (PlaceId(place), ExperienceId(place));
-        Candidate { place, keyframe, by, score, inliers, probability: 0.0, rejected: None }
+        Candidate { place, keyframe, by, score, votes: None, inliers, probability: 0.0, rejected: None }
+    }
+
+    fn together(cosine: f32, rival: f32, inliers: u32) -> Clues {
+        Clues { cosine: Some(cosine), rival_cosine: Some(rival), inliers, rival_inliers: Some(0) }
     }
 
     #[test]
-    fn a_cosine_above_the_threshold_is_enough_where_geometry_finds_nothing() {
-        let by_night = |cosine| Clues { cosine: Some(cosine), inliers: 0 }.probability(Some(&card()));
-        assert!(by_night(0.81) > 0.98 && by_night(0.79) < 0.5, "{} {}", by_night(0.81), by_night(0.79));
+    fn by_night_a_place_is_known_by_being_far_ahead_of_all_others_where_geometry_finds_nothing() {
+        let by_night = |rival| together(0.8, rival, 0).probability(Some(&card()));
+        assert!(by_night(0.5) > 0.8 && by_night(0.78) < 0.4, "{} {}", by_night(0.5), by_night(0.78));
     }
 
     #[test]
     fn geometry_speaks_for_a_place_that_the_cnn_does_not_know_and_a_few_inliers_do_not() {
-        let of = |inliers| Clues { cosine: Some(0.6), inliers }.probability(Some(&card()));
+        let of = |inliers| together(0.6, 0.6, inliers).probability(Some(&card()));
         assert!(of(30) > 0.9 && of(3) < 0.3, "{} {}", of(30), of(3));
-        let alone = |inliers| Clues { cosine: None, inliers }.probability(None);
+        let alone = |inliers| Clues { inliers, rival_inliers: Some(0), ..Clues::default() }.probability(None);
         assert!(alone(30) > 0.9 && alone(3) < 0.4, "{} {}", alone(30), alone(3));
+        let twin = Clues { inliers: 12, rival_inliers: Some(12), ..Clues::default() };
+        assert!(twin.probability(None) < alone(12) - 0.1, "two places that match alike");
     }
 
     #[test]
@@ -116,22 +145,38 @@ mod tests {
         let unknown = candidate(3, Evidence::BowHv, 0.1, Some(5));
         let rejected = Some(crate::recognition::Rejection::WithinPlaceInterval);
         let left = Candidate { rejected, ..candidate(4, Evidence::Cnn, 0.9, None) };
-        let said = log_odds(&[here, elsewhere, left, verified, unknown], Some(&card()), |_| true);
-        let of = |cosine, inliers| Clues { cosine: Some(cosine), inliers }.log_odds(Some(&card()));
-        let expected = [(1, of(0.7, 20)), (2, of(0.6, 0)), (3, of(0.6, 5))];
-        assert_eq!(said, expected.map(|(place, odds)| (PlaceId(place), odds)).into());
+        let found = [here, elsewhere, left, verified, unknown];
+        let clues = clues(&found, |_| true, |a, b| a.0 + b.0 == 3);
+        let of = |place| clues[&PlaceId(place)];
+        assert_eq!(
+            (of(1).cosine, of(1).inliers, of(1).rival_inliers),
+            (Some(0.7), 20, Some(5)),
+            "2 is next to it"
+        );
+        assert_eq!((of(2).cosine, of(2).inliers, of(2).rival_inliers), (Some(0.6), 0, Some(5)));
+        assert_eq!((of(3).cosine, of(3).inliers, of(3).rival_inliers), (Some(0.6), 5, Some(20)));
+        assert!(!clues.contains_key(&PlaceId(4)));
     }
 
     #[test]
-    fn a_place_that_the_cnn_did_not_name_passes_no_threshold_of_its_and_one_without_a_descriptor_is_geometrys()
+    fn a_place_that_the_cnn_did_not_name_is_at_most_as_alike_as_the_last_and_one_without_a_descriptor_is_geometrys()
      {
         let named = candidate(1, Evidence::Cnn, 0.9, None);
         let other = candidate(2, Evidence::BowHv, 0.1, Some(0));
         let of = |is_described: bool| {
-            log_odds(&[named.clone(), other.clone()], Some(&card()), |_| is_described)[&PlaceId(2)]
+            clues(&[named.clone(), other.clone()], |_| is_described, |_, _| false)[&PlaceId(2)]
         };
-        assert!(of(true) < 0.0 && of(false) < 0.0, "{} {}", of(true), of(false));
-        assert_eq!(of(false), Clues { cosine: None, inliers: 0 }.log_odds(None));
+        assert_eq!((of(true).cosine, of(false).cosine), (Some(0.9), None));
+    }
+
+    #[test]
+    fn a_place_has_to_be_ahead_of_the_fourth_other_one() {
+        let named: Vec<Candidate> =
+            (0..6).map(|i| candidate(i, Evidence::Cnn, 0.9 - 0.1 * i as f32, None)).collect();
+        let rival =
+            |named: &[Candidate], place| clues(named, |_| true, |_, _| false)[&PlaceId(place)].rival_cosine;
+        assert_eq!((rival(&named, 0), rival(&named, 5)), (Some(named[4].score), Some(named[3].score)));
+        assert_eq!(rival(&named[..4], 0), None, "too few to tell");
     }
 
     proptest! {
@@ -142,10 +187,10 @@ mod tests {
             inliers in 4_u32..200,
             further in 0_u32..50,
         ) {
-            let of = |cosine, inliers| Clues { cosine: Some(cosine), inliers }.log_odds(Some(&card()));
+            let of = |cosine, inliers| together(cosine, 0.5, inliers).log_odds(Some(&card()));
             prop_assert!(of(cosine + more, inliers) >= of(cosine, inliers));
             prop_assert!(of(cosine, inliers + further) >= of(cosine, inliers));
-            let alone = |inliers| Clues { cosine: None, inliers }.log_odds(None);
+            let alone = |inliers| Clues { inliers, ..Clues::default() }.log_odds(None);
             prop_assert!(alone(inliers + further) >= alone(inliers));
         }
     }

@@ -11,6 +11,10 @@ use crate::place_map::{
 };
 use crate::vocabulary::Light;
 
+/// Grey levels by which the mean luminance of a frame differs from that of all keyframes of its place where it becomes one.
+const OTHER_LIGHT_LUMINANCE: f32 = 16.0;
+/// Least probability of a place that gets a keyframe for its light.
+const SURE: f32 = 0.9;
 /// Probability of another place from which a frame that joins one unasked becomes no keyframe.
 const LIKELY_OTHER: f32 = 0.1;
 
@@ -36,17 +40,18 @@ impl Recogniser {
             .any(|candidate| Some(candidate.place) == recognition.place && self.is_known_by_cnn(candidate))
     }
 
-    /// Whether the place has no keyframe that may count as the condition yet: a place first seen by day is to
-    /// be known by night once it was seen by night.
-    pub(super) fn is_in_new_light(&self, place: PlaceId, light: Light) -> bool {
+    /// Whether a place that is known for sure has no keyframe in this light yet: by these, dusk links the day to the night.
+    /// Only light makes a keyframe of a frame late in a visit, so a place does not grow along with the robot.
+    pub(super) fn is_in_new_light(&self, (place, confidence): (PlaceId, f32), light: Light) -> bool {
         let vocabularies = self.keyframes.vocabularies();
-        if vocabularies.conditions().count() == 1 {
-            return false;
-        }
         let experiences = self.map.place(place).into_iter().flat_map(|place| &place.experiences);
         let keyframes = experiences.filter_map(|&id| self.map.experience(id)).filter(|e| e.is_keyframe);
-        let lights = keyframes.filter_map(|keyframe| keyframe.mean_luminance);
-        !lights.into_iter().any(|luminance| vocabularies.may_count_as(light.condition, luminance))
+        let mut lights = keyframes.filter_map(|keyframe| keyframe.mean_luminance);
+        let is_alike = |luminance: f32| {
+            (luminance - light.mean_luminance).abs() < OTHER_LIGHT_LUMINANCE
+                && vocabularies.may_count_as(light.condition, luminance)
+        };
+        confidence >= SURE && !lights.any(is_alike)
     }
 
     /// Adds the frame to `place`, or to a new one, and makes it findable if it is a keyframe.

@@ -10,12 +10,16 @@
 mod appearance;
 mod belief;
 mod candidate;
+mod decision;
 mod fusion;
+mod grounds;
 mod identity;
 mod joining;
 mod keyframe_index;
 mod learning;
 mod look;
+#[cfg(test)]
+mod made_up_world;
 mod options;
 mod recogniser;
 mod renewal;
@@ -24,6 +28,7 @@ mod working_set;
 
 pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
 pub use fusion::Clues;
+pub use grounds::{Grounds, PlaceGrounds, Thresholds};
 pub use joining::{Join, Support};
 pub use look::Look;
 pub use options::RecognitionOptions;
@@ -85,4 +90,6 @@ pub struct Recognition {
     pub candidates: Candidates,
     /// The geometry of the accepted match, if it was verified.
     pub verification: Option<Verification>,
+    /// What was thought of each place.
+    pub grounds: Grounds,
 }

@@ -12,15 +12,12 @@ use super::options::RecognitionOptions;
 use super::renewal::Renewals;
 use super::visits::Visits;
 use super::working_set::WorkingSet;
-use super::{Decision, Recognition, fusion};
+use super::{Decision, Recognition};
 use crate::cnn;
 use crate::frame::Frame;
 use crate::place_map::{ExperienceId, Learnt, MapError, PlaceMap};
 use crate::verification::{MatchingView, Verification, verify};
 use crate::vocabulary::{ConditionId, VocabularySet};
-
-/// Log odds that a frame has to give a place itself: whatever was seen before, what it speaks against is not its place.
-const LEAST_LOG_ODDS: f32 = -1.0;
 
 /// Recognises places and grows the map.
 pub struct Recogniser {
@@ -35,8 +32,8 @@ pub struct Recogniser {
     pub(super) renewals: Renewals,
     /// Where the robot is.
     pub(super) belief: Belief,
-    /// Whether a place was recognised in the frame before.
-    was_recognised: bool,
+    /// Whether the frame before showed a known place, and what was seen before that counts.
+    pub(super) has_shown: bool,
     pub(super) foreign_descriptors: usize,
     /// Why the map cannot be read or changed, until somebody asks.
     pub(super) map_failure: Option<MapError>,
@@ -64,7 +61,7 @@ impl Recogniser {
             appearances: AppearanceIndex::default(),
             renewals: Renewals::default(),
             belief: Belief::default(),
-            was_recognised: false,
+            has_shown: false,
             working_set: WorkingSet::default(),
             identities: Identities::default(),
             foreign_descriptors: 0,
@@ -161,12 +158,6 @@ impl Recogniser {
         candidates
     }
 
-    /// Whether the CNN alone is sure of a candidate.
-    pub(super) fn is_known_by_cnn(&self, candidate: &Candidate) -> bool {
-        let needed = self.model.as_ref().map(|model| model.decision.recognise_above);
-        candidate.by == Evidence::Cnn && needed.is_some_and(|needed| candidate.score >= needed)
-    }
-
     fn retrieve_by_words(&mut self, look: &Look) -> Vec<Candidate> {
         let mut candidates: Vec<Candidate> = Vec::with_capacity(MAX_CANDIDATES);
         for keyframe in self.keyframes.query(look, self.visits.founded_within_interval()) {
@@ -184,6 +175,7 @@ impl Recogniser {
                 keyframe: keyframe.experience,
                 by: Evidence::BowHv,
                 score: keyframe.score,
+                votes: None,
                 inliers: None,
                 probability: 0.0,
                 rejected: None,
@@ -199,6 +191,7 @@ impl Recogniser {
         let by_words = candidates.iter_mut().filter(|candidate| candidate.by == Evidence::BowHv);
         let verified = by_words.map(|candidate| {
             let verification = self.verify_keyframe((query, look.light.condition), candidate.keyframe);
+            candidate.votes = Some(verification.votes);
             candidate.inliers = Some(verification.effective_inliers);
             verification
         });
@@ -236,17 +229,20 @@ impl Recogniser {
         (mut candidates, verifications): (Candidates, Vec<Verification>),
         thumbnail_jpeg: impl FnOnce() -> Vec<u8>,
     ) -> Recognition {
-        self.weigh_candidates(&mut candidates);
+        let grounds = self.weigh_candidates(&mut candidates);
         let chosen = self.chosen(&candidates);
         let by_words = candidates.iter().filter(|candidate| candidate.by == Evidence::BowHv);
         let mut verified = by_words.zip(verifications);
         let verification = verified.find(|(candidate, _)| Some(*candidate) == chosen.as_ref());
         let verification = verification.map(|(_, verification)| verification);
         if let Some(chosen) = &chosen {
-            mark_outdone(&mut candidates, chosen);
+            self.mark_outdone(&mut candidates, chosen);
         }
-        let mut recognition = self.judge(chosen, candidates, verification);
-        if !self.options.read_only && recognition.decision != Decision::Unknown {
+        let is_shown = chosen.as_ref().map(|chosen| Self::is_shown(&grounds, chosen.place));
+        let mut recognition = self.judge(chosen, (candidates, grounds), verification);
+        self.has_shown = is_shown == Some(true) && self.options.sequence;
+        let says_something = recognition.decision != Decision::Unknown && is_shown != Some(false);
+        if says_something && !self.options.read_only {
             self.remember((frame, look), &mut recognition, thumbnail_jpeg);
         }
         let is_lost = matches!(recognition.decision, Decision::NewPlace | Decision::Unknown);
@@ -258,44 +254,6 @@ impl Recogniser {
         recognition
     }
 
-    /// Says of every candidate how likely it is and, where that is too little, that it is turned down.
-    fn weigh_candidates(&mut self, candidates: &mut Candidates) {
-        let is_described = |keyframe| self.appearances.contains(keyframe);
-        let mut log_odds = fusion::log_odds(candidates, self.model.as_ref(), is_described);
-        // Of the place that was just founded nothing is asked, so nothing speaks against it.
-        log_odds.extend(self.visits.founded_within_interval().map(|place| (place, 0.0)));
-        let belief = match self.options.sequence {
-            true => self.belief.after(&self.map, &log_odds),
-            false => Belief::of_one_frame(&log_odds),
-        };
-        let needed = self.options.accept_above;
-        for candidate in candidates.iter_mut() {
-            candidate.probability = belief.of(candidate.place);
-            let got = belief.around(candidate.place, &self.map);
-            if got < needed {
-                candidate.rejected.get_or_insert(Rejection::Unlikely { got, needed });
-            } else if log_odds.get(&candidate.place).is_none_or(|&said| said < LEAST_LOG_ODDS) {
-                candidate.rejected.get_or_insert(Rejection::NotSeen);
-            }
-        }
-        self.belief = belief;
-    }
-
-    /// The candidate that speaks most for the likeliest place that nothing speaks against: the CNN where it is sure,
-    /// else geometry where it found something.
-    fn chosen(&self, candidates: &Candidates) -> Option<Candidate> {
-        let open = || candidates.iter().filter(|candidate| candidate.rejected.is_none());
-        let likeliest = open().map(|candidate| candidate.probability).reduce(f32::max)?;
-        let place = open().find(|candidate| candidate.probability >= likeliest)?.place;
-        let speaks = |candidate: &&Candidate| match candidate.by {
-            _ if self.is_known_by_cnn(candidate) => u32::MAX,
-            Evidence::BowHv => candidate.inliers.unwrap_or_default().saturating_mul(2),
-            _ => 1,
-        };
-        // Of equals the first.
-        open().filter(|candidate| candidate.place == place).rev().max_by_key(speaks).cloned()
-    }
-
     /// Adds the frame to the place that it was recognised as, or to a new one.
     fn remember(
         &mut self,
@@ -305,7 +263,7 @@ impl Recogniser {
     ) {
         let is_keyframe = recognition.place.is_none_or(|place| {
             self.visits.is_young(place) && self.is_new_look(recognition)
-                || self.is_in_new_light(place, look.light)
+                || self.is_in_new_light((place, recognition.confidence), look.light)
         });
         match self.learn(frame, look, (recognition.place, is_keyframe), &thumbnail_jpeg()) {
             Ok(Learnt { place, experience, .. }) => {
@@ -331,66 +289,10 @@ impl Recogniser {
         }
     }
 
-    /// The decision, before anything is written. A new place has no number yet.
-    fn judge(
-        &mut self,
-        chosen: Option<Candidate>,
-        candidates: Candidates,
-        verification: Option<Verification>,
-    ) -> Recognition {
-        let known = self.belief.of_known();
-        let is_elsewhere = self.is_elsewhere();
-        let (decision, by, place, confidence) = match (&chosen, self.visits.founded_within_interval()) {
-            (Some(chosen), _) => {
-                let is_cnn = chosen.by == Evidence::Cnn;
-                let decision = if is_cnn { Decision::Recognised } else { Decision::Revisited };
-                let likely = self.belief.around(chosen.place, &self.map);
-                (decision, Some(chosen.by), Some(chosen.place), likely)
-            }
-            (None, Some(place)) => {
-                let likely = self.belief.around(place, &self.map);
-                (Decision::SamePlace, Some(Evidence::PlaceInterval), Some(place), likely)
-            }
-            (None, None) if self.options.read_only || !is_elsewhere => {
-                (Decision::Unknown, None, None, 1.0 - known)
-            }
-            (None, None) => (Decision::NewPlace, None, None, 1.0 - known),
-        };
-        self.was_recognised = chosen.is_some();
-        Recognition {
-            decision,
-            by,
-            place,
-            name: place.and_then(|place| self.map.place(place)).and_then(|place| place.name.clone()),
-            keyframe: chosen.as_ref().map(|chosen| chosen.keyframe),
-            experience: None,
-            confidence,
-            inliers: chosen.as_ref().and_then(|chosen| chosen.inliers),
-            candidates,
-            verification,
-        }
-    }
-
-    /// Whether a frame that shows no known place founds one: where one was recognised in the frame before, a single
-    /// frame does not.
-    fn is_elsewhere(&self) -> bool {
-        !(self.options.sequence && self.was_recognised)
-    }
-
     /// From now on the robot may be anywhere: what comes next has nothing to do with what was seen before.
     pub fn begin_anew(&mut self) {
         self.belief = Belief::default();
-        self.was_recognised = false;
-    }
-}
-
-/// Marks everything but the chosen one as turned down, and puts that first.
-fn mark_outdone(candidates: &mut Candidates, chosen: &Candidate) {
-    for candidate in candidates.iter_mut().filter(|candidate| *candidate != chosen) {
-        candidate.rejected.get_or_insert(Rejection::Outdone { by: chosen.place });
-    }
-    if let Some(position) = candidates.iter().position(|candidate| candidate == chosen) {
-        candidates[..=position].rotate_right(1);
+        self.has_shown = false;
     }
 }
 
@@ -399,140 +301,11 @@ mod tests {
     use std::path::Path;
     use std::sync::atomic::AtomicBool;
 
+    use super::super::made_up_world::{Robot, appearance, card, features, in_memory, no_interval, opened};
     use super::super::{Join, Support, Walk};
     use super::*;
-    use crate::feature::{Descriptor, Features, Keypoint};
-    use crate::geometry::Point;
-    use crate::place_map::{Appearance, MapOptions, NewExperience, PlaceId, Traits};
-    use crate::raster::{GreyImage, RgbImage};
-    use crate::vocabulary::{Light, LightSwitch, MemoryCorpus, TrainingOptions, train, train_on};
-    use rand::{Rng, SeedableRng};
-    use rand_pcg::Pcg64;
-
-    const DIMENSIONS: usize = 16;
-
-    fn in_memory() -> PlaceMap {
-        PlaceMap::in_memory(MapOptions::default()).unwrap()
-    }
-
-    fn opened(folder: &Path) -> PlaceMap {
-        PlaceMap::open(folder, MapOptions::default()).unwrap()
-    }
-
-    /// The features that are seen at a made-up place.
-    fn features(place: u64) -> Features {
-        let mut random = Pcg64::seed_from_u64(place);
-        let mut features = Features { width_px: 640, height_px: 480, ..Features::default() };
-        for _ in 0..200 {
-            let point = Point { x: random.random_range(0.0..640.0), y: random.random_range(0.0..480.0) };
-            features.keypoints.push(Keypoint { point, scale: 1.0, angle_radians: 0.0, response: 20 });
-            features.descriptors.push(Descriptor(random.random()));
-        }
-        features
-    }
-
-    /// A CNN descriptor that has nothing in common with that of another look below [`DIMENSIONS`].
-    fn appearance(look: usize) -> cnn::Descriptor {
-        cnn::Descriptor::from_values((0..DIMENSIONS).map(|i| f32::from(i == look)).collect()).unwrap()
-    }
-
-    fn card() -> cnn::ModelCard {
-        let text = "
-            name = 'test'\nversion = '1'\ndescription = ''\nlicence = ''\nsource = ''\nrecipe = ''
-            sha256 = '0000000000000000000000000000000000000000000000000000000000000000'
-            input = { name = 'image', width_px = 32, height_px = 32, mean = 0.0, scale = 1.0 }
-            descriptor = { name = 'descriptor', dimensions = 16 }
-            decision = { recognise_above = 0.8, calibration_slope = 20.0, calibration_offset = -15.0 }
-            training = { data = '' }\nmetrics = {}";
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("card.toml");
-        std::fs::write(&path, text).unwrap();
-        cnn::ModelCard::read(&path).unwrap()
-    }
-
-    /// No frame joins a place unasked.
-    fn no_interval() -> RecognitionOptions {
-        RecognitionOptions { place_interval: 0, ..RecognitionOptions::default() }
-    }
-
-    /// A robot in a made-up world.
-    struct Robot {
-        recogniser: Recogniser,
-        light: LightSwitch,
-        frames: u64,
-    }
-
-    impl Robot {
-        fn new(model: Option<cnn::ModelCard>, options: RecognitionOptions, map: PlaceMap) -> Self {
-            let images: Vec<Vec<Descriptor>> = (0..8).map(|place| features(place).descriptors).collect();
-            let vocabulary =
-                train(&images, TrainingOptions { branching: 6, depth: 3, ..TrainingOptions::default() })
-                    .unwrap();
-            let recogniser = Recogniser::new(Arc::new(vocabulary.into()), map, model, options).unwrap();
-            Self { recogniser, light: LightSwitch::default(), frames: 0 }
-        }
-
-        fn with_cnn() -> Self {
-            Self::new(Some(card()), no_interval(), in_memory())
-        }
-
-        fn without_cnn() -> Self {
-            Self::new(None, no_interval(), in_memory())
-        }
-
-        /// A robot with two vocabularies, for the light of 40 and of 120.
-        fn by_day_and_night() -> Self {
-            let vocabulary = |places: std::ops::Range<u64>, luminance: f32| {
-                let images: Vec<Vec<Descriptor>> = places.map(|place| features(place).descriptors).collect();
-                let corpus = MemoryCorpus { images: &images, mean_luminance: Some(luminance) };
-                let options = TrainingOptions { branching: 6, depth: 3, ..TrainingOptions::default() };
-                (format!("{luminance}").into(), train_on(&corpus, options, &()).unwrap().vocabulary)
-            };
-            let set = VocabularySet::new(vec![vocabulary(0..8, 120.0), vocabulary(100..108, 40.0)]).unwrap();
-            let map = in_memory();
-            let recogniser = Recogniser::new(Arc::new(set), map, Some(card()), no_interval()).unwrap();
-            Self { recogniser, light: LightSwitch::default(), frames: 0 }
-        }
-
-        /// Looks at the features of one place and the CNN descriptor of a look, if there is a CNN.
-        fn see(&mut self, place: u64, look: usize) -> Recognition {
-            self.see_in(120.0, place, look)
-        }
-
-        /// The same in a frame of that luminance.
-        fn see_in(&mut self, mean_luminance: f32, place: u64, look: usize) -> Recognition {
-            let frame = self.frame();
-            self.frames += 1;
-            let appearance = self.recogniser.has_cnn().then(|| appearance(look));
-            let vocabularies = self.recogniser.vocabularies();
-            let light = self.light.follow(vocabularies, mean_luminance);
-            let thumbnail = look as u8;
-            let look = Look::new(features(place), (vocabularies, light), appearance);
-            self.recogniser.recognise(&frame, &look, || vec![thumbnail])
-        }
-
-        fn frame(&self) -> Frame {
-            Frame {
-                index: self.frames,
-                capture_nanos: 0,
-                name: String::new(),
-                colour: RgbImage::new(1, 1),
-                grey: GreyImage::new(1, 1),
-                jpeg: None,
-                pose: None,
-                true_place: None,
-            }
-        }
-
-        /// Goes to a place that no test looks at.
-        fn leave(&mut self) {
-            self.see(7, 15);
-        }
-
-        fn keyframes(&self) -> usize {
-            self.recogniser.map().summary().keyframes
-        }
-    }
+    use crate::place_map::{Appearance, NewExperience, PlaceId, Traits};
+    use crate::vocabulary::Light;
 
     #[test]
     fn the_first_frame_founds_a_place_and_the_next_ones_join_it() {

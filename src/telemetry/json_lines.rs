@@ -139,7 +139,7 @@ mod tests {
     use crate::frame::Frame;
     use crate::place_map::{ExperienceId, PlaceId};
     use crate::raster::{GreyImage, RgbImage};
-    use crate::recognition::{Candidates, Decision, Look, Recognition, Rejection};
+    use crate::recognition::{Candidates, Decision, Grounds, Look, Recognition, Rejection};
 
     fn record() -> FrameRecord {
         let frame = Frame {
@@ -157,6 +157,7 @@ mod tests {
             keyframe: ExperienceId(233),
             by: Evidence::Cnn,
             score: 0.993,
+            votes: None,
             inliers: None,
             probability: 0.974,
             rejected: None,
@@ -166,6 +167,7 @@ mod tests {
             keyframe: ExperienceId(80),
             by: Evidence::BowHv,
             score: 0.041,
+            votes: Some(9.5),
             inliers: Some(6),
             probability: 0.004,
             rejected: Some(Rejection::Unlikely { got: 0.004, needed: 0.5 }),
@@ -181,6 +183,7 @@ mod tests {
             inliers: None,
             candidates: Candidates::from_iter([accepted, rejected]),
             verification: None,
+            grounds: Grounds::default(),
         };
         let latency = StageLatency {
             decode_us: 310,

@@ -41,12 +41,12 @@ const MAX_LOG_SCALE: f32 = std::f32::consts::LN_10;
 /// A bin of the finest level: x, y, log s and θ indices.
 type Bin = [u32; 4];
 
-/// The mean transforms of the best bins, best first.
+/// The mean transforms of the best bins with their votes (eq. 4), best first.
 pub(super) fn hypotheses(
     correspondences: &[Correspondence],
     diagonal_px: f32,
     options: &HoughOptions,
-) -> FixedVec<Similarity, MAX_HYPOTHESES> {
+) -> FixedVec<(f32, Similarity), MAX_HYPOTHESES> {
     let votes: Vec<(Bin, Similarity)> = correspondences
         .iter()
         .filter_map(|pair| {
@@ -57,8 +57,8 @@ pub(super) fn hypotheses(
     let mut scored: Vec<(f32, Bin)> = scores(&votes, options).into_iter().map(|(bin, s)| (s, bin)).collect();
     scored.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let best = scored.into_iter().take(MAX_HYPOTHESES);
-    best.map(|(_, bin)| mean_transform(votes.iter().filter(|vote| vote.0 == bin).map(|vote| vote.1)))
-        .collect()
+    let of_bin = |bin| votes.iter().filter(move |vote| vote.0 == bin).map(|vote| vote.1);
+    best.map(|(score, bin)| (score, mean_transform(of_bin(bin)))).collect()
 }
 
 /// The finest bin of `transform`; `None` out of range.

@@ -52,6 +52,8 @@ pub struct Verification {
     pub inliers: Vec<u32>,
     /// Effective inliers: occupied grid cells, the smaller count of the two images.
     pub effective_inliers: u32,
+    /// Votes of the hypothesis that became the best transform (eq. 4); 0 if none held.
+    pub votes: f32,
     /// The transform from the query image to the keyframe, if any hypothesis held.
     pub keyframe_from_query: Option<Affine>,
 }
@@ -71,11 +73,17 @@ pub fn verify(
         options,
     };
     let best = check.best_transform();
-    let Some((transform, inliers)) = best else {
+    let Some((votes, transform, inliers)) = best else {
         return Verification { correspondences: pairs, ..Verification::default() };
     };
     let effective_inliers = check.effective(&inliers);
-    Verification { correspondences: pairs, inliers, effective_inliers, keyframe_from_query: Some(transform) }
+    Verification {
+        correspondences: pairs,
+        inliers,
+        effective_inliers,
+        votes,
+        keyframe_from_query: Some(transform),
+    }
 }
 
 /// One pair of images under verification.
@@ -87,15 +95,18 @@ struct Check<'a> {
 }
 
 impl Check<'_> {
-    fn best_transform(&self) -> Option<(Affine, Vec<u32>)> {
+    fn best_transform(&self) -> Option<(f32, Affine, Vec<u32>)> {
         if self.pairs.len() < MIN_FIT {
             return None;
         }
         let diagonal_px = self.query_diagonal_px.max(self.keyframe_diagonal_px);
         let hypotheses = hough::hypotheses(self.pairs, diagonal_px, &self.options.hough);
-        let refined = hypotheses.iter().filter_map(|&hypothesis| self.refine(hypothesis.into()));
+        let refined = hypotheses.iter().filter_map(|&(votes, hypothesis)| {
+            let (transform, inliers) = self.refine(hypothesis.into())?;
+            Some((votes, transform, inliers))
+        });
         // Of equally good hypotheses the first, which got more votes.
-        refined.reduce(|best, next| if next.1.len() > best.1.len() { next } else { best })
+        refined.reduce(|best, next| if next.2.len() > best.2.len() { next } else { best })
     }
 
     /// Refits `hypothesis` to its loose inliers, then to its tight ones, and counts tightly.

@@ -17,7 +17,7 @@ use crate::frame::Frame;
 use crate::geometry::{OrientedPoint, Point};
 use crate::place_map::{ExperienceId, PlaceId};
 use crate::raster::RgbImage;
-use crate::recognition::{Candidate, Candidates, Decision, Evidence, Look, Recognition, Rejection};
+use crate::recognition::{Candidate, Candidates, Decision, Evidence, Grounds, Look, Recognition, Rejection};
 use crate::telemetry::{CnnStatus, MatchedKeyframe, StageLatency};
 use crate::verification::{Correspondence, Verification};
 
@@ -51,6 +51,7 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
         keyframe: ExperienceId(80),
         by: Evidence::BowHv,
         score: 0.041,
+        votes: Some(9.5),
         inliers: Some(6),
         probability: 0.5,
         rejected: Some(Rejection::Unlikely { got: 0.25, needed: 0.8 }),
@@ -66,6 +67,7 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
         inliers: None,
         candidates: Candidates::from_iter([rejected]),
         verification: None,
+        grounds: Grounds::default(),
     };
     FrameRecord {
         frame: Arc::new(frame),

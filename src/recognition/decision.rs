@@ -1,0 +1,254 @@
+//! The decision itself: how likely each candidate is, which one is taken, and what that makes of the frame.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::belief::{self, Expectation};
+use super::candidate::{Candidate, Candidates, Evidence, Rejection};
+use super::fusion::{self, Clues};
+use super::grounds::{Grounds, PlaceGrounds, Thresholds};
+use super::recogniser::Recogniser;
+use super::{Decision, Recognition};
+use crate::place_map::PlaceId;
+use crate::verification::Verification;
+
+/// Log odds that a frame has to give a place itself: whatever was seen before, what it speaks against is not its place.
+const LEAST_LOG_ODDS: f32 = -3.0;
+/// Log odds from which on a frame shows a place itself. Only then does it join it: a robot that stays where it is believed
+/// to be would otherwise take its place along, and all would become one.
+const SHOWN_LOG_ODDS: f32 = 1.0;
+
+impl Recogniser {
+    /// Says of every candidate how likely it is and, where that is too little, that it is turned down.
+    pub(super) fn weigh_candidates(&mut self, candidates: &mut Candidates) -> Grounds {
+        let clues = self.clues(candidates);
+        let odds = clues.iter().map(|(&place, clues)| (place, clues.log_odds(self.model.as_ref())));
+        let mut log_odds: BTreeMap<PlaceId, f32> = odds.collect();
+        // Of the place that was just founded nothing is asked, so nothing speaks against it.
+        log_odds.extend(self.visits.founded_within_interval().map(|place| (place, 0.0)));
+        let expected = match self.options.sequence {
+            true => self.belief.expectation(&self.map),
+            false => Expectation::of_nothing(),
+        };
+        self.belief = expected.seeing(&log_odds);
+        let thresholds = self.thresholds();
+        let needed = thresholds.probability;
+        let is_seen = |place: PlaceId| {
+            let is_found = clues.get(&place).is_some_and(|clues| clues.are_any());
+            is_found && log_odds.get(&place).is_some_and(|&said| said >= thresholds.log_odds)
+        };
+        for candidate in candidates.iter_mut() {
+            candidate.probability = self.belief.of(candidate.place);
+            let got = self.belief.around(candidate.place, &self.map);
+            if got == 0.0 && candidate.probability > 0.0 {
+                candidate.rejected.get_or_insert(Rejection::NextIsLikelier);
+            } else if got < needed {
+                candidate.rejected.get_or_insert(Rejection::Unlikely { got, needed });
+            } else if !is_seen(candidate.place) {
+                candidate.rejected.get_or_insert(Rejection::NotSeen);
+            }
+        }
+        self.grounds(&clues, &log_odds, &expected)
+    }
+
+    fn thresholds(&self) -> Thresholds {
+        Thresholds {
+            probability: self.options.accept_above,
+            log_odds: if self.options.read_only || self.has_shown { LEAST_LOG_ODDS } else { SHOWN_LOG_ODDS },
+            inliers: self.options.min_inliers,
+            cnn_alone: self.model.as_ref().map(|model| model.decision.recognise_above),
+        }
+    }
+
+    /// Whether the frame itself shows the place.
+    pub(super) fn is_shown(grounds: &Grounds, place: PlaceId) -> bool {
+        let of_place = grounds.places.iter().find(|grounds| grounds.place == place);
+        of_place.and_then(|place| place.log_odds).is_some_and(|log_odds| log_odds >= SHOWN_LOG_ODDS)
+    }
+
+    fn clues(&self, candidates: &Candidates) -> BTreeMap<PlaceId, Clues> {
+        let places: BTreeSet<PlaceId> = candidates.iter().map(|candidate| candidate.place).collect();
+        let next = |place| (place, belief::neighbours(&self.map, place));
+        let next: BTreeMap<PlaceId, BTreeSet<PlaceId>> = places.into_iter().map(next).collect();
+        let are_next = |a: PlaceId, b: PlaceId| next.get(&a).is_some_and(|next| next.contains(&b));
+        fusion::clues(candidates, |keyframe| self.appearances.contains(keyframe), are_next)
+    }
+
+    fn grounds(
+        &self,
+        clues: &BTreeMap<PlaceId, Clues>,
+        log_odds: &BTreeMap<PlaceId, f32>,
+        expected: &Expectation,
+    ) -> Grounds {
+        let places: BTreeSet<PlaceId> = log_odds.keys().copied().chain(expected.places()).collect();
+        let of = |place: PlaceId| PlaceGrounds {
+            place,
+            clues: clues.get(&place).copied(),
+            log_odds: log_odds.get(&place).copied(),
+            before: expected.of(place),
+            after: self.belief.of(place),
+            around: self.belief.around(place, &self.map),
+        };
+        let mut places: Vec<PlaceGrounds> = places.into_iter().map(of).collect();
+        places.sort_by(|a, b| b.after.total_cmp(&a.after));
+        let elsewhere = [expected.of_elsewhere(), self.belief.of_elsewhere()];
+        Grounds { places, elsewhere, thresholds: self.thresholds() }
+    }
+
+    /// The candidate that speaks most for the likeliest place that nothing speaks against: the CNN where it is sure,
+    /// else geometry where it found something.
+    pub(super) fn chosen(&self, candidates: &Candidates) -> Option<Candidate> {
+        let open = || candidates.iter().filter(|candidate| candidate.rejected.is_none());
+        let likeliest = open().map(|candidate| candidate.probability).reduce(f32::max)?;
+        let place = open().find(|candidate| candidate.probability >= likeliest)?.place;
+        let speaks = |candidate: &&Candidate| match candidate.by {
+            _ if self.is_known_by_cnn(candidate) => u32::MAX,
+            Evidence::BowHv => candidate.inliers.unwrap_or_default().saturating_mul(2),
+            _ => 1,
+        };
+        // Of equals the first.
+        open().filter(|candidate| candidate.place == place).rev().max_by_key(speaks).cloned()
+    }
+
+    /// Whether the CNN alone is sure of a candidate.
+    pub(super) fn is_known_by_cnn(&self, candidate: &Candidate) -> bool {
+        let needed = self.model.as_ref().map(|model| model.decision.recognise_above);
+        candidate.by == Evidence::Cnn && needed.is_some_and(|needed| candidate.score >= needed)
+    }
+
+    /// The decision, before anything is written. A new place has no number yet.
+    pub(super) fn judge(
+        &mut self,
+        chosen: Option<Candidate>,
+        (candidates, grounds): (Candidates, Grounds),
+        verification: Option<Verification>,
+    ) -> Recognition {
+        let elsewhere = self.belief.of_elsewhere();
+        let (decision, by, place, confidence) = match (&chosen, self.visits.founded_within_interval()) {
+            (Some(chosen), _) => {
+                let is_cnn = chosen.by == Evidence::Cnn;
+                let decision = if is_cnn { Decision::Recognised } else { Decision::Revisited };
+                let likely = self.belief.around(chosen.place, &self.map);
+                (decision, Some(chosen.by), Some(chosen.place), likely)
+            }
+            (None, Some(place)) => {
+                let likely = self.belief.around(place, &self.map);
+                (Decision::SamePlace, Some(Evidence::PlaceInterval), Some(place), likely)
+            }
+            // A single frame founds no place.
+            (None, None) if self.options.read_only || self.has_shown => {
+                (Decision::Unknown, None, None, elsewhere)
+            }
+            (None, None) => (Decision::NewPlace, None, None, elsewhere),
+        };
+        Recognition {
+            decision,
+            by,
+            place,
+            name: place.and_then(|place| self.map.place(place)).and_then(|place| place.name.clone()),
+            keyframe: chosen.as_ref().map(|chosen| chosen.keyframe),
+            experience: None,
+            confidence,
+            inliers: chosen.as_ref().and_then(|chosen| chosen.inliers),
+            candidates,
+            verification,
+            grounds,
+        }
+    }
+
+    /// Marks everything but the chosen one as turned down, and puts that first.
+    pub(super) fn mark_outdone(&self, candidates: &mut Candidates, chosen: &Candidate) {
+        let inliers = chosen.inliers.filter(|&inliers| inliers >= self.options.min_inliers);
+        for candidate in candidates.iter_mut().filter(|candidate| *candidate != chosen) {
+            let is_other = candidate.place != chosen.place && self.is_known_by_cnn(candidate);
+            match inliers.filter(|_| is_other) {
+                Some(inliers) => {
+                    candidate.rejected = Some(Rejection::Overruled { by: chosen.place, inliers })
+                }
+                None => drop(candidate.rejected.get_or_insert(Rejection::Outdone { by: chosen.place })),
+            }
+        }
+        if let Some(position) = candidates.iter().position(|candidate| candidate == chosen) {
+            candidates[..=position].rotate_right(1);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up_world::{Robot, appearance, card, in_memory};
+    use super::super::{Look, RecognitionOptions};
+    use super::*;
+    use crate::place_map::ExperienceId;
+
+    fn candidate(place: u32, by: Evidence, score: f32, inliers: Option<u32>) -> Candidate {
+        let (place, keyframe) = (PlaceId(place), ExperienceId(place));
+        Candidate { place, keyframe, by, score, votes: None, inliers, probability: 0.0, rejected: None }
+    }
+
+    /// Decides between places of a robot's map by what was found of them, as if it had been found in a frame.
+    fn decide(robot: &mut Robot, found: &[Candidate]) -> Recognition {
+        let look = Look { appearance: Some(appearance(3)), ..Look::default() };
+        let verified = found.iter().filter(|candidate| candidate.by == Evidence::BowHv).count();
+        let candidates = found.iter().cloned().collect();
+        let frame = robot.frame();
+        let geometry = vec![Verification::default(); verified];
+        robot.recogniser.decide(&frame, &look, (candidates, geometry), Vec::new)
+    }
+
+    /// A robot that knows so many places, one after the other along a way.
+    fn robot_with(places: u64) -> Robot {
+        let options = RecognitionOptions { place_interval: 0, ..RecognitionOptions::default() };
+        let mut robot = Robot::new(Some(card()), options, in_memory());
+        (0..places).for_each(|place| drop(robot.see(place, place as usize)));
+        robot
+    }
+
+    #[test]
+    fn geometry_that_verifies_another_place_overrules_a_cnn_that_is_sure_and_says_so() {
+        let found = [
+            candidate(6, Evidence::Cnn, 0.9, None),
+            candidate(1, Evidence::Cnn, 0.8, None),
+            candidate(1, Evidence::BowHv, 0.1, Some(80)),
+        ];
+        let mut robot = robot_with(8);
+        let answer = decide(&mut robot, &found);
+        assert_eq!((answer.decision, answer.place), (Decision::Revisited, Some(PlaceId(1))));
+        let overruled = answer.candidates.iter().find(|candidate| candidate.place == PlaceId(6)).unwrap();
+        assert_eq!(overruled.rejected, Some(Rejection::Overruled { by: PlaceId(1), inliers: 80 }));
+        let sure = decide(&mut robot_with(8), &found[..2]);
+        assert_eq!((sure.decision, sure.place), (Decision::Recognised, Some(PlaceId(6))));
+    }
+
+    #[test]
+    fn a_frame_joins_a_place_only_if_it_shows_it_and_a_second_one_that_does_not_founds_another() {
+        let mut robot = robot_with(8);
+        let shown = [candidate(1, Evidence::Cnn, 0.9, None), candidate(6, Evidence::Cnn, 0.4, None)];
+        let weak = [candidate(1, Evidence::Cnn, 0.68, None), candidate(6, Evidence::Cnn, 0.66, None)];
+        (0..3).for_each(|_| drop(decide(&mut robot, &shown)));
+        let believed = decide(&mut robot, &weak);
+        assert_eq!((believed.place, believed.experience), (Some(PlaceId(1)), None), "known, but not learnt");
+        let founded = decide(&mut robot, &weak);
+        assert_eq!(founded.decision, Decision::NewPlace);
+        assert!(founded.candidates.iter().all(|candidate| candidate.rejected.is_some()));
+        robot = robot_with(8);
+        (0..3).for_each(|_| drop(decide(&mut robot, &shown)));
+        decide(&mut robot, &weak);
+        assert_eq!(decide(&mut robot, &shown).place, Some(PlaceId(1)), "one bad frame changes nothing");
+    }
+
+    #[test]
+    fn the_grounds_say_what_was_thought_of_every_candidates_place_before_and_after() {
+        let mut robot = robot_with(8);
+        let found = [candidate(1, Evidence::Cnn, 0.9, None), candidate(6, Evidence::Cnn, 0.4, None)];
+        let answer = decide(&mut robot, &found);
+        let of =
+            |place| answer.grounds.places.iter().find(|grounds| grounds.place == PlaceId(place)).unwrap();
+        assert_eq!(of(1).clues.unwrap().rival_cosine, Some(0.4));
+        assert_eq!(of(1).after, answer.candidates[0].probability);
+        assert!(of(1).log_odds > Some(3.0) && of(1).before < of(1).after && of(6).log_odds < Some(-3.0));
+        assert_eq!(answer.confidence, of(1).around);
+        let after: f32 = answer.grounds.places.iter().map(|grounds| grounds.after).sum();
+        assert!((after + answer.grounds.elsewhere[1] - 1.0).abs() < 1e-4);
+        assert_eq!(answer.grounds.thresholds.cnn_alone, Some(0.8));
+    }
+}

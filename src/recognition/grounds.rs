@@ -1,0 +1,45 @@
+//! The grounds of a decision: what was thought of each place before a frame and after it.
+
+use super::fusion::Clues;
+use crate::place_map::PlaceId;
+
+/// What was thought of a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaceGrounds {
+    /// The place.
+    pub place: PlaceId,
+    /// What was found of it in the frame; `None` where it was only expected.
+    pub clues: Option<Clues>,
+    /// Log odds that what was found makes it the right one.
+    pub log_odds: Option<f32>,
+    /// Probability before the frame.
+    pub before: f32,
+    /// Probability after it.
+    pub after: f32,
+    /// The same with the places next to it: what has to pass the threshold; 0 if one of these is likelier.
+    pub around: f32,
+}
+
+/// What a place has to reach.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Thresholds {
+    /// Probability, with those next to it, at which a place is taken for the right one.
+    pub probability: f32,
+    /// Log odds that the frame has to give it itself.
+    pub log_odds: f32,
+    /// Effective inliers from which on geometry verifies a place.
+    pub inliers: u32,
+    /// Cosine from which on the CNN alone is sure, if one takes part.
+    pub cnn_alone: Option<f32>,
+}
+
+/// Why a frame was decided as it was.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Grounds {
+    /// The places that something was found of, or that were expected, the likeliest first.
+    pub places: Vec<PlaceGrounds>,
+    /// Probability to be in no place of the map before the frame, and after it.
+    pub elsewhere: [f32; 2],
+    /// What was needed.
+    pub thresholds: Thresholds,
+}
