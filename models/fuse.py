@@ -154,7 +154,7 @@ def ahead(place, found, named, near):
     others = sorted((score for other, score in named.items() if other != place), reverse=True)
     cosine_margin = cosine - others[RIVAL - 1] if len(others) >= RIVAL else 0
     rivals = [inliers for other, (_, inliers) in found.items() if other not in near]
-    return cosine, cosine_margin, inliers, np.log1p(inliers) - np.log1p(max(rivals)) if rivals else 0
+    return cosine, cosine_margin, inliers, np.log1p(inliers) - np.log1p(max(rivals, default=0))
 
 
 def contested(frames):

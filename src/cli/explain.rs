@@ -89,13 +89,13 @@ fn place_row(grounds: &PlaceGrounds) -> String {
     let clues = grounds.clues;
     let cosine =
         |of: fn(Clues) -> Option<f32>| or_dash(clues.and_then(of).map(|cosine| format!("{cosine:.3}")));
-    let inliers = |of: fn(Clues) -> Option<u32>| or_dash(clues.and_then(of));
+    let inliers = |of: fn(Clues) -> u32| or_dash(clues.map(of));
     format!(
         "place {:<5}{:>11}  {:>9}   {:>12}  {:>9}   {:>8}   {:>6.3}   {:>6.3}  {:>9.3}\n",
         grounds.place.0,
         cosine(|clues| clues.cosine),
         cosine(|clues| clues.rival_cosine),
-        inliers(|clues| Some(clues.inliers)),
+        inliers(|clues| clues.inliers),
         inliers(|clues| clues.rival_inliers),
         or_dash(grounds.log_odds.map(|log_odds| format!("{log_odds:+.2}"))),
         grounds.before,

@@ -100,9 +100,10 @@ impl Belief {
         Self { places: BTreeMap::from([(place, FOUNDED)]), elsewhere: 1.0 - FOUNDED }
     }
 
-    /// Probability of a place, with those next to it, which show much the same; 0 if one of these is likelier.
-    pub(super) fn around(&self, place: PlaceId, map: &PlaceMap) -> f32 {
-        let next = neighbours(map, place);
+    /// Probability of a place, with those next to it and `twins`, which show much the same; 0 if one of these is likelier.
+    pub(super) fn around(&self, place: PlaceId, map: &PlaceMap, twins: &BTreeSet<PlaceId>) -> f32 {
+        let mut next = neighbours(map, place);
+        next.extend(twins.iter().filter(|&&twin| twin != place));
         let shares = || next.iter().map(|&id| self.of(id));
         if shares().any(|share| share > self.of(place)) {
             0.0

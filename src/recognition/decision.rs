@@ -6,6 +6,7 @@ use super::belief::{self, Expectation};
 use super::candidate::{Candidate, Candidates, Evidence, Rejection};
 use super::fusion::{self, Clues};
 use super::grounds::{Grounds, PlaceGrounds, Thresholds};
+use super::identity::STRONG;
 use super::recogniser::Recogniser;
 use super::{Decision, Recognition};
 use crate::place_map::PlaceId;
@@ -36,9 +37,10 @@ impl Recogniser {
             let is_found = clues.get(&place).is_some_and(|clues| clues.are_any());
             is_found && log_odds.get(&place).is_some_and(|&said| said >= thresholds.log_odds)
         };
+        let grounds = self.grounds(&clues, &log_odds, &expected);
         for candidate in candidates.iter_mut() {
             candidate.probability = self.belief.of(candidate.place);
-            let got = self.belief.around(candidate.place, &self.map);
+            let got = grounds.around(candidate.place);
             if got == 0.0 && candidate.probability > 0.0 {
                 candidate.rejected.get_or_insert(Rejection::NextIsLikelier);
             } else if got < needed {
@@ -47,7 +49,7 @@ impl Recogniser {
                 candidate.rejected.get_or_insert(Rejection::NotSeen);
             }
         }
-        self.grounds(&clues, &log_odds, &expected)
+        grounds
     }
 
     fn thresholds(&self) -> Thresholds {
@@ -61,8 +63,8 @@ impl Recogniser {
 
     /// Whether the frame itself shows the place.
     pub(super) fn is_shown(grounds: &Grounds, place: PlaceId) -> bool {
-        let of_place = grounds.places.iter().find(|grounds| grounds.place == place);
-        of_place.and_then(|place| place.log_odds).is_some_and(|log_odds| log_odds >= SHOWN_LOG_ODDS)
+        let of_place = grounds.of(place).and_then(|grounds| grounds.log_odds);
+        of_place.is_some_and(|log_odds| log_odds >= SHOWN_LOG_ODDS)
     }
 
     fn clues(&self, candidates: &Candidates) -> BTreeMap<PlaceId, Clues> {
@@ -80,13 +82,18 @@ impl Recogniser {
         expected: &Expectation,
     ) -> Grounds {
         let places: BTreeSet<PlaceId> = log_odds.keys().copied().chain(expected.places()).collect();
+        // What geometry verifies beyond doubt shows this very scene: a place that was founded twice.
+        let is_strong = |clues: &Clues| clues.inliers >= STRONG * self.options.min_inliers;
+        let twins: BTreeSet<PlaceId> =
+            clues.iter().filter(|(_, clues)| is_strong(clues)).map(|(&place, _)| place).collect();
+        let none = BTreeSet::new();
         let of = |place: PlaceId| PlaceGrounds {
             place,
             clues: clues.get(&place).copied(),
             log_odds: log_odds.get(&place).copied(),
             before: expected.of(place),
             after: self.belief.of(place),
-            around: self.belief.around(place, &self.map),
+            around: self.belief.around(place, &self.map, if twins.contains(&place) { &twins } else { &none }),
         };
         let mut places: Vec<PlaceGrounds> = places.into_iter().map(of).collect();
         places.sort_by(|a, b| b.after.total_cmp(&a.after));
@@ -127,12 +134,10 @@ impl Recogniser {
             (Some(chosen), _) => {
                 let is_cnn = chosen.by == Evidence::Cnn;
                 let decision = if is_cnn { Decision::Recognised } else { Decision::Revisited };
-                let likely = self.belief.around(chosen.place, &self.map);
-                (decision, Some(chosen.by), Some(chosen.place), likely)
+                (decision, Some(chosen.by), Some(chosen.place), grounds.around(chosen.place))
             }
             (None, Some(place)) => {
-                let likely = self.belief.around(place, &self.map);
-                (Decision::SamePlace, Some(Evidence::PlaceInterval), Some(place), likely)
+                (Decision::SamePlace, Some(Evidence::PlaceInterval), Some(place), grounds.around(place))
             }
             // A single frame founds no place.
             (None, None) if self.options.read_only || self.has_shown => {
@@ -195,6 +200,14 @@ mod tests {
         robot.recogniser.decide(&frame, &look, (candidates, geometry), Vec::new)
     }
 
+    /// What the CNN finds of one place and of another, the same of others behind them.
+    fn named(place: u32, cosine: f32, other: u32, of_others: f32) -> Vec<Candidate> {
+        let rest = (0..8).filter(|&id| id != place && id != other).take(4);
+        let rest = rest.map(|id| candidate(id, Evidence::Cnn, of_others, None));
+        let first = candidate(place, Evidence::Cnn, cosine, None);
+        [first, candidate(other, Evidence::Cnn, of_others + 0.01, None)].into_iter().chain(rest).collect()
+    }
+
     /// A robot that knows so many places, one after the other along a way.
     fn robot_with(places: u64) -> Robot {
         let options = RecognitionOptions { place_interval: 0, ..RecognitionOptions::default() };
@@ -205,25 +218,21 @@ mod tests {
 
     #[test]
     fn geometry_that_verifies_another_place_overrules_a_cnn_that_is_sure_and_says_so() {
-        let found = [
-            candidate(6, Evidence::Cnn, 0.9, None),
-            candidate(1, Evidence::Cnn, 0.8, None),
-            candidate(1, Evidence::BowHv, 0.1, Some(80)),
-        ];
+        let sure = named(3, 0.9, 1, 0.7);
+        let found = [&sure[..], &[candidate(1, Evidence::BowHv, 0.1, Some(80))]].concat();
         let mut robot = robot_with(8);
         let answer = decide(&mut robot, &found);
         assert_eq!((answer.decision, answer.place), (Decision::Revisited, Some(PlaceId(1))));
-        let overruled = answer.candidates.iter().find(|candidate| candidate.place == PlaceId(6)).unwrap();
+        let overruled = answer.candidates.iter().find(|candidate| candidate.place == PlaceId(3)).unwrap();
         assert_eq!(overruled.rejected, Some(Rejection::Overruled { by: PlaceId(1), inliers: 80 }));
-        let sure = decide(&mut robot_with(8), &found[..2]);
-        assert_eq!((sure.decision, sure.place), (Decision::Recognised, Some(PlaceId(6))));
+        let sure = decide(&mut robot_with(8), &sure);
+        assert_eq!((sure.decision, sure.place), (Decision::Recognised, Some(PlaceId(3))));
     }
 
     #[test]
     fn a_frame_joins_a_place_only_if_it_shows_it_and_a_second_one_that_does_not_founds_another() {
         let mut robot = robot_with(8);
-        let shown = [candidate(1, Evidence::Cnn, 0.9, None), candidate(6, Evidence::Cnn, 0.4, None)];
-        let weak = [candidate(1, Evidence::Cnn, 0.68, None), candidate(6, Evidence::Cnn, 0.66, None)];
+        let (shown, weak) = (named(1, 0.9, 6, 0.4), named(1, 0.72, 6, 0.62));
         (0..3).for_each(|_| drop(decide(&mut robot, &shown)));
         let believed = decide(&mut robot, &weak);
         assert_eq!((believed.place, believed.experience), (Some(PlaceId(1)), None), "known, but not learnt");
@@ -239,13 +248,13 @@ mod tests {
     #[test]
     fn the_grounds_say_what_was_thought_of_every_candidates_place_before_and_after() {
         let mut robot = robot_with(8);
-        let found = [candidate(1, Evidence::Cnn, 0.9, None), candidate(6, Evidence::Cnn, 0.4, None)];
+        let found = named(1, 0.9, 6, 0.4);
         let answer = decide(&mut robot, &found);
         let of =
             |place| answer.grounds.places.iter().find(|grounds| grounds.place == PlaceId(place)).unwrap();
         assert_eq!(of(1).clues.unwrap().rival_cosine, Some(0.4));
         assert_eq!(of(1).after, answer.candidates[0].probability);
-        assert!(of(1).log_odds > Some(3.0) && of(1).before < of(1).after && of(6).log_odds < Some(-3.0));
+        assert!(of(1).log_odds > Some(3.0) && of(1).before < of(1).after && of(6).log_odds < Some(-2.0));
         assert_eq!(answer.confidence, of(1).around);
         let after: f32 = answer.grounds.places.iter().map(|grounds| grounds.after).sum();
         assert!((after + answer.grounds.elsewhere[1] - 1.0).abs() < 1e-4);

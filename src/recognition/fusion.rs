@@ -14,6 +14,11 @@ use crate::place_map::{ExperienceId, PlaceId};
 /// any, and of what that logarithm is more than that of the best other place.
 const GEOMETRY: [f32; 4] = [-0.897, 2.121, -4.783, 1.14];
 
+/// Log odds that a place is right whose cosine passes the card's threshold, which one in two hundred frames of other places
+/// does: half of the frames of the place itself do, too. That says enough: by night there may be no geometry to ask.
+const PASSED: f32 = 4.6;
+/// Effective inliers of another place from which on it does not.
+const VERIFIED: u32 = 8;
 /// Which of the other places that the CNN names, the most alike first, a place has to be ahead of.
 const RIVAL: usize = 4;
 
@@ -27,8 +32,8 @@ pub struct Clues {
     pub rival_cosine: Option<f32>,
     /// Effective inliers; 0 where geometry found nothing.
     pub inliers: u32,
-    /// The most effective inliers of a place that is not next to it; `None` where none was verified.
-    pub rival_inliers: Option<u32>,
+    /// The most effective inliers of a place that is not next to it.
+    pub rival_inliers: u32,
 }
 
 impl Clues {
@@ -37,19 +42,22 @@ impl Clues {
     pub fn log_odds(self, model: Option<&ModelCard>) -> f32 {
         let inliers = (self.inliers as f32).ln_1p();
         let any = if self.inliers > 0 { 1.0 } else { 0.0 };
-        let inlier_margin = self.rival_inliers.map_or(0.0, |rival| inliers - (rival as f32).ln_1p());
+        let inlier_margin = inliers - (self.rival_inliers as f32).ln_1p();
         let (Some(model), Some(cosine)) = (model, self.cosine) else {
             return GEOMETRY[0] + GEOMETRY[1] * inliers + GEOMETRY[2] * any + GEOMETRY[3] * inlier_margin;
         };
         let alike = model.log_odds(cosine);
         let margin = self.rival_cosine.map_or(0.0, |rival| alike - model.log_odds(rival));
         let weights = &model.fusion;
-        weights.offset
+        let together = weights.offset
             + weights.cosine * alike
             + weights.cosine_margin * margin
             + weights.inliers * inliers
             + weights.any_inliers * any
-            + weights.inlier_margin * inlier_margin
+            + weights.inlier_margin * inlier_margin;
+        let is_verified_elsewhere = self.rival_inliers >= self.inliers.max(VERIFIED);
+        let passes = cosine >= model.decision.recognise_above && !is_verified_elsewhere;
+        if passes { together.max(PASSED) } else { together }
     }
 
     /// Whether anything was found of the place at all.
@@ -91,7 +99,7 @@ pub(super) fn clues(
         let mut others = by_cnn().filter(|candidate| candidate.place != place);
         clues.rival_cosine = others.nth(RIVAL - 1).map(|candidate| candidate.score);
         let others = inliers.iter().filter(|&&(other, _)| other != place && !are_next(place, other));
-        clues.rival_inliers = others.map(|&(_, inliers)| inliers).max();
+        clues.rival_inliers = others.map(|&(_, inliers)| inliers).max().unwrap_or_default();
     }
     clues
 }
@@ -118,22 +126,22 @@ mod tests {
     }
 
     fn together(cosine: f32, rival: f32, inliers: u32) -> Clues {
-        Clues { cosine: Some(cosine), rival_cosine: Some(rival), inliers, rival_inliers: Some(0) }
+        Clues { cosine: Some(cosine), rival_cosine: Some(rival), inliers, rival_inliers: 0 }
     }
 
     #[test]
     fn by_night_a_place_is_known_by_being_far_ahead_of_all_others_where_geometry_finds_nothing() {
-        let by_night = |rival| together(0.8, rival, 0).probability(Some(&card()));
-        assert!(by_night(0.5) > 0.8 && by_night(0.78) < 0.4, "{} {}", by_night(0.5), by_night(0.78));
+        let by_night = |rival| together(0.79, rival, 0).probability(Some(&card()));
+        assert!(by_night(0.4) > 0.75 && by_night(0.78) < 0.4, "{} {}", by_night(0.4), by_night(0.78));
     }
 
     #[test]
     fn geometry_speaks_for_a_place_that_the_cnn_does_not_know_and_a_few_inliers_do_not() {
-        let of = |inliers| together(0.6, 0.6, inliers).probability(Some(&card()));
+        let of = |inliers| together(0.7, 0.6, inliers).probability(Some(&card()));
         assert!(of(30) > 0.9 && of(3) < 0.3, "{} {}", of(30), of(3));
-        let alone = |inliers| Clues { inliers, rival_inliers: Some(0), ..Clues::default() }.probability(None);
+        let alone = |inliers| Clues { inliers, ..Clues::default() }.probability(None);
         assert!(alone(30) > 0.9 && alone(3) < 0.4, "{} {}", alone(30), alone(3));
-        let twin = Clues { inliers: 12, rival_inliers: Some(12), ..Clues::default() };
+        let twin = Clues { inliers: 12, rival_inliers: 12, ..Clues::default() };
         assert!(twin.probability(None) < alone(12) - 0.1, "two places that match alike");
     }
 
@@ -148,13 +156,9 @@ mod tests {
         let found = [here, elsewhere, left, verified, unknown];
         let clues = clues(&found, |_| true, |a, b| a.0 + b.0 == 3);
         let of = |place| clues[&PlaceId(place)];
-        assert_eq!(
-            (of(1).cosine, of(1).inliers, of(1).rival_inliers),
-            (Some(0.7), 20, Some(5)),
-            "2 is next to it"
-        );
-        assert_eq!((of(2).cosine, of(2).inliers, of(2).rival_inliers), (Some(0.6), 0, Some(5)));
-        assert_eq!((of(3).cosine, of(3).inliers, of(3).rival_inliers), (Some(0.6), 5, Some(20)));
+        assert_eq!((of(1).cosine, of(1).inliers, of(1).rival_inliers), (Some(0.7), 20, 5), "2 is next to it");
+        assert_eq!((of(2).cosine, of(2).inliers, of(2).rival_inliers), (Some(0.6), 0, 5));
+        assert_eq!((of(3).cosine, of(3).inliers, of(3).rival_inliers), (Some(0.6), 5, 20));
         assert!(!clues.contains_key(&PlaceId(4)));
     }
 

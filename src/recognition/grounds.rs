@@ -43,3 +43,17 @@ pub struct Grounds {
     /// What was needed.
     pub thresholds: Thresholds,
 }
+
+impl Grounds {
+    /// What was thought of a place.
+    #[must_use]
+    pub fn of(&self, place: PlaceId) -> Option<&PlaceGrounds> {
+        self.places.iter().find(|grounds| grounds.place == place)
+    }
+
+    /// Probability of a place with the places next to it.
+    #[must_use]
+    pub fn around(&self, place: PlaceId) -> f32 {
+        self.of(place).map_or(0.0, |grounds| grounds.around)
+    }
+}

@@ -387,16 +387,15 @@ mod tests {
     }
 
     #[test]
-    fn one_more_look_in_a_known_light_becomes_no_keyframe() {
-        let mut robot = Robot::by_day_and_night();
-        robot.see(0, 0);
-        robot.leave();
-        robot.see_in(40.0, 100, 0);
-        let keyframes = robot.keyframes();
-        for luminance in [40.0, 60.0, 120.0, 200.0] {
-            robot.see_in(luminance, 100, 0);
+    fn late_in_a_visit_a_place_gets_a_keyframe_in_a_new_light_and_none_in_a_known_one() {
+        let mut robot = Robot::new(Some(card()), no_interval(), in_memory());
+        (0..6).for_each(|place| drop(robot.see(place, place as usize)));
+        (0..3).for_each(|_| drop(robot.see(0, 0)));
+        let before = robot.keyframes();
+        for (luminance, brought) in [(110.0, 0), (80.0, 1), (85.0, 1), (50.0, 2), (120.0, 2), (60.0, 2)] {
+            assert_eq!(robot.see_in(luminance, 0, 0).place, Some(PlaceId(0)));
+            assert_eq!(robot.keyframes() - before, brought, "{luminance}");
         }
-        assert_eq!(robot.keyframes(), keyframes);
     }
 
     #[test]
