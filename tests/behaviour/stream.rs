@@ -133,3 +133,42 @@ fn a_recording_is_written_for_rerun() {
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert!(std::fs::read(recording).unwrap().starts_with(b"RRF"));
 }
+
+#[test]
+fn a_frame_is_explained_with_its_candidates_belief_and_thresholds_and_no_other_line_is_printed() {
+    let world = "synthetic:street?laps=2&light=noon&frames=60&seed=21";
+    let run = loci(&["run", world, "--explain", "70", "--explain", "3"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    for part in ["frame 3, synthetic:street#0003: same_place", "within the place interval", "frame 70, "] {
+        assert!(run.stdout.contains(part), "no '{part}' in: {}", run.stdout);
+    }
+    for part in ["votes", "log odds", "before", "after", "accepted", "elsewhere", "needed: probability 0.500"]
+    {
+        assert!(run.stdout.contains(part), "no '{part}' in: {}", run.stdout);
+    }
+    assert!(!run.stdout.contains("frame 4, "), "{}", run.stdout);
+    let missed = loci(&["run", "synthetic:street?laps=1&frames=3", "--explain", "3"]);
+    assert_eq!(missed.code, 1);
+    assert!(
+        missed.stderr.contains("frame 3 cannot be explained, for it was not looked at"),
+        "{}",
+        missed.stderr
+    );
+    assert_eq!(loci(&["run", world, "--explain", "3", "--json"]).code, 2);
+}
+
+#[test]
+fn every_frame_by_itself_and_with_those_before_it_give_other_answers_of_one_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = folder.path().join("map");
+    let map = map.to_str().unwrap();
+    assert_eq!(loci(&["run", "synthetic:street?laps=1&light=noon&frames=60&seed=21", "--map", map]).code, 0);
+    let named = |sequence: &str| {
+        let world = "synthetic:street?laps=1&light=night&frames=60&seed=21";
+        let run = loci(&["run", world, "--map", map, "--read-only", "--json", "--sequence", sequence]);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        run.records().iter().filter(|record| record["decision"] != "unknown").count()
+    };
+    let (alone, in_sequence) = (named("off"), named("on"));
+    assert!(in_sequence > alone, "{in_sequence} in sequence, {alone} alone");
+}

@@ -1,0 +1,71 @@
+"""What a robot that stands still makes of the change from day to night: nine webcams, one after the other, in time order.
+
+    python3 tests/suite/webcam_stream.py target/release/loci
+
+The program gets all frames as one stream, no labels and an empty map, in its default configuration. A place is the camera's
+that most of what it learnt came from. Night is the darkest 30 % of each camera; its frames before which the camera was not
+seen yet are left out, for there is nothing to join. LOCI_DATA names the folder of the sequences.
+"""
+
+import argparse
+import csv
+import json
+import os
+import subprocess
+import tempfile
+from collections import Counter, defaultdict
+from pathlib import Path
+
+NIGHT = 0.3
+
+
+def rows(data):
+    with open(data / "ground_truth.csv") as table:
+        return sorted(csv.DictReader(table), key=lambda row: (row["place"], row["captured_at_utc"]))
+
+
+def stream(program, frames, folder):
+    """A record of every frame."""
+    pictures = folder / "frames"
+    pictures.mkdir()
+    for index, frame in enumerate(frames):
+        (pictures / f"{index:05d}.jpg").symlink_to(frame.resolve())
+    command = [program, "run", pictures, "--map", folder / "map", "--json"]
+    answer = subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    return [json.loads(line) for line in answer.stdout.splitlines()]
+
+
+def nights(table):
+    """Indices of the darkest frames of each camera, of those after its first."""
+    of_camera = defaultdict(list)
+    for index, row in enumerate(table):
+        of_camera[row["place"]].append(index)
+    dark = [sorted(frames, key=lambda frame: float(table[frame]["mean_luminance"]))[:int(NIGHT * len(frames))] for frames in of_camera.values()]
+    return [frame for frames, first in zip(dark, of_camera.values()) for frame in frames if frame > first[0]]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("program", type=Path, help="the program loci")
+    program = parser.parse_args().program.resolve()
+    data = Path(os.environ.get("LOCI_DATA", "../shared/data")) / "webcams_day_night"
+    table = rows(data)
+    with tempfile.TemporaryDirectory() as name:
+        records = stream(program, [data / row["file"] for row in table], Path(name))
+    learnt = defaultdict(Counter)
+    for record, row in zip(records, table, strict=True):
+        if record["experience"] is not None:
+            learnt[record["place"]][row["place"]] += 1
+    owner = {place: cameras.most_common(1)[0][0] for place, cameras in learnt.items()}
+    pure = sum(cameras.most_common(1)[0][1] for cameras in learnt.values())
+    count = sum(map(Counter.total, learnt.values()))
+    dark = nights(table)
+    known = [frame for frame in dark if records[frame]["decision"] not in ("unknown", "new_place")]
+    right = sum(owner.get(records[frame]["place"]) == table[frame]["place"] for frame in known)
+    print(f"{len(records)} frames of {len(set(owner.values()))} cameras: {len(owner)} places, {count} frames learnt")
+    print(f"purity {pure / count:.4f} ({pure}/{count})")
+    print(f"night frames that join a place of their camera: {right / len(dark):.4f} ({right}/{len(dark)}); of another: {len(known) - right}")
+
+
+if __name__ == "__main__":
+    main()
