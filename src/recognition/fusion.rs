@@ -12,7 +12,7 @@ use crate::place_map::{ExperienceId, PlaceId};
 
 /// Log odds that a place is right where no CNN takes part: offset, and weights of ln(1 + effective inliers), of there being
 /// any, and of what that logarithm is more than that of the best other place.
-const GEOMETRY: [f32; 4] = [-0.897, 2.121, -4.783, 1.14];
+const GEOMETRY: [f32; 4] = [-0.637, 2.092, -4.847, 1.143];
 
 /// Log odds that a place is right whose cosine passes the card's threshold, which one in two hundred frames of other places
 /// does: half of the frames of the place itself do, too. That says enough: by night there may be no geometry to ask.
