@@ -68,7 +68,7 @@ fn explanation(record: &FrameRecord) -> String {
         .filter(|place| place.clues.is_some() || place.before.max(place.after) >= WORTH_SHOWING)
         .for_each(|place| text += &place_row(place));
     let [before, after] = elsewhere;
-    let _ = writeln!(text, "elsewhere  {:>57}   {before:>6.3}   {after:>6.3}\n", "");
+    let _ = writeln!(text, "elsewhere  {:>59}   {before:>6.3}   {after:>6.3}\n", "");
     text + &needed(thresholds)
 }
 

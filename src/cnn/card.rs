@@ -17,6 +17,7 @@ use super::error::{CnnError, one_line};
 pub(super) const LARGEST_CARD_BYTES: u64 = 1 << 20;
 const SIDE_PX: RangeInclusive<usize> = 16..=1024;
 const DIMENSIONS: RangeInclusive<usize> = 1..=8192;
+const LARGEST_WEIGHT: f32 = 1000.0;
 
 /// A model card.
 #[derive(Clone, Debug, Deserialize, PartialEq, Serialize)]
@@ -208,8 +209,8 @@ impl ModelCard {
             ),
             (self.decision.calibration_offset.is_finite(), "decision.calibration_offset is not finite"),
             (
-                self.fusion.weights().iter().all(|weight| weight.is_finite()),
-                "a weight of fusion is not finite",
+                self.fusion.weights().iter().all(|weight| weight.abs() <= LARGEST_WEIGHT),
+                "a weight of fusion is not within -1000..=1000",
             ),
         ];
         rules.iter().find(|(holds, _)| !holds).map_or(Ok(()), |(_, rule)| Err((*rule).to_owned()))
@@ -292,6 +293,17 @@ recall = "0.9 at 1"
         let card = read(CARD.as_bytes()).unwrap();
         assert_eq!((card.input.width_px, card.input.height_px, card.input.mean), (224, 160, 127.0));
         assert_eq!(card.metrics["recall"], "0.9 at 1");
+    }
+
+    #[test]
+    fn a_card_without_weights_has_those_of_the_shipped_one_and_impossible_ones_are_refused() {
+        let shipped = ModelCard::read(Path::new("models/efficientnet-lite0/card.toml")).unwrap();
+        assert_eq!(shipped.fusion.weights(), read(CARD.as_bytes()).unwrap().fusion.weights());
+        let keys = ["offset", "cosine", "cosine_margin", "inliers", "any_inliers", "inlier_margin"];
+        let weights: String = keys.iter().map(|key| format!("{key} = 1e9\n")).collect();
+        let table = format!("[fusion]\n{weights}data = ''\n");
+        let error = read(format!("{CARD}\n{table}").as_bytes()).unwrap_err();
+        assert!(error.contains("a weight of fusion is not within -1000..=1000"), "{error}");
     }
 
     #[test]

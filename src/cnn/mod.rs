@@ -36,7 +36,7 @@ mod signature;
 #[cfg(all(test, feature = "cnn"))]
 pub(crate) use model::tests::{MEANS, model_folder, runtime as installed_runtime, toy_network};
 
-pub use card::{ClassCard, DecisionCard, DescriptorCard, InputCard, ModelCard, TrainingCard};
+pub use card::{ClassCard, DecisionCard, DescriptorCard, FusionCard, InputCard, ModelCard, TrainingCard};
 pub use compact::CompactDescriptor;
 pub use descriptor::Descriptor;
 #[cfg(feature = "train")]

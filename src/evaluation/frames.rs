@@ -1,7 +1,8 @@
 //! The field's database: every reference frame can be found.
 //!
 //! The CNN ranks all of them by cosine; BoW+HV ranks those that share the most words by their effective inliers;
-//! together they decide by probability, as `loci run` does of a frame that nothing comes before.
+//! together they decide by probability, as `loci run` does of a frame that nothing comes before. But no frame has to be
+//! ahead of others here, for those next to it show the same.
 
 use std::collections::BTreeMap;
 
@@ -14,6 +15,11 @@ use crate::recognition::{Clues, RecognitionOptions};
 use crate::retrieval::{BowVector, InvertedIndex};
 use crate::verification::{MatchingView, Verification, VerificationOptions, verify};
 use crate::vocabulary::{Quantised, Vocabulary, VocabularySet};
+
+/// Cosine of a reference frame, and which one.
+type Alike = (f32, usize);
+/// Effective inliers of a reference frame, and which one.
+type Verified = (u32, usize);
 
 /// All frames of a traverse, ready to be searched.
 pub struct FrameDatabase<'a> {
@@ -139,7 +145,7 @@ impl<'a> FrameDatabase<'a> {
     }
 
     /// Both at once, as `loci run` decides about a single frame.
-    fn together(&self, query: &Observation, (alike, verified): (&[(f32, usize)], &[(u32, usize)])) -> Answer {
+    fn together(&self, query: &Observation, (alike, verified): (&[Alike], &[Verified])) -> Answer {
         let mut clues: BTreeMap<usize, Clues> = BTreeMap::new();
         let references = alike.iter().map(|found| found.1).chain(verified.iter().map(|found| found.1));
         for reference in references {

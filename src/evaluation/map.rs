@@ -129,8 +129,8 @@ impl<'a> Robot<'a> {
         };
         let is_given = matches!(recognition.decision, Decision::Recognised | Decision::Revisited);
         let chosen = recognition.candidates.iter().find(|candidate| is_given && candidate.rejected.is_none());
-        // What was decided to be no match is one as likely as its likeliest candidate.
-        let likeliest = recognition.candidates.iter().map(|candidate| candidate.probability).reduce(f32::max);
+        // What was decided to be no match is one as likely as its likeliest place.
+        let likeliest = recognition.grounds.places.iter().map(|grounds| grounds.around).reduce(f32::max);
         let confidence = if is_given { recognition.confidence } else { likeliest.unwrap_or_default() };
         let confidence = f64::from(confidence);
         Answer::new(chosen.map(candidate), recognition.candidates.iter().map(candidate).collect(), confidence)

@@ -100,16 +100,14 @@ impl Belief {
         Self { places: BTreeMap::from([(place, FOUNDED)]), elsewhere: 1.0 - FOUNDED }
     }
 
-    /// Probability of a place, with those next to it and `twins`, which show much the same; 0 if one of these is likelier.
-    pub(super) fn around(&self, place: PlaceId, map: &PlaceMap, twins: &BTreeSet<PlaceId>) -> f32 {
-        let mut next = neighbours(map, place);
-        next.extend(twins.iter().filter(|&&twin| twin != place));
-        let shares = || next.iter().map(|&id| self.of(id));
-        if shares().any(|share| share > self.of(place)) {
-            0.0
-        } else {
-            self.of(place) + shares().sum::<f32>()
+    /// Probability of a place, with those next to it, which show much the same; 0 if one of these is likelier and
+    /// `may_be` the right one.
+    pub(super) fn around(&self, place: PlaceId, map: &PlaceMap, may_be: impl Fn(PlaceId) -> bool) -> f32 {
+        let next = neighbours(map, place);
+        if next.iter().any(|&id| self.of(id) > self.of(place) && may_be(id)) {
+            return 0.0;
         }
+        self.of(place) + next.iter().map(|&id| self.of(id)).sum::<f32>()
     }
 
     /// Probability of a place.
@@ -129,7 +127,7 @@ impl Expectation {
         Self { places: BTreeMap::new(), other: 0.5, unmapped: 0.5 }
     }
 
-    /// What is believed once the frame has said so of places; of those of which it says nothing, nothing was found in it.
+    /// What is believed once the frame has said so of places; of those of which it says nothing, nothing was found.
     pub(super) fn seeing(&self, log_odds: &BTreeMap<PlaceId, f32>) -> Belief {
         let odds = |said: f32| said.clamp(-MOST_LOG_ODDS, MOST_LOG_ODDS).exp();
         let mut places: BTreeMap<PlaceId, f32> =
@@ -154,9 +152,14 @@ impl Expectation {
         self.unmapped
     }
 
+    /// Probability to be in a place because of where the robot was.
+    pub(super) fn share(&self, place: PlaceId) -> f32 {
+        self.places.get(&place).copied().unwrap_or_default()
+    }
+
     /// Probability of a place, if it is found in the frame.
     pub(super) fn of(&self, place: PlaceId) -> f32 {
-        self.places.get(&place).copied().unwrap_or_default() + self.other
+        self.share(place) + self.other
     }
 }
 

@@ -68,8 +68,13 @@ pub enum Rejection {
     },
     /// A place next to it, which shows much the same, is likelier.
     NextIsLikelier,
-    /// What was seen before speaks for it, but not the frame.
-    NotSeen,
+    /// The frame itself says too little for it, whatever was believed before.
+    NotSeen {
+        /// Log odds that it gives.
+        got: f32,
+        /// What it would have to give.
+        needed: f32,
+    },
     /// It is the place we are in, founded so recently that its frames join it unasked.
     WithinPlaceInterval,
     /// The CNN is sure of it, but geometry verified another place, and the robot is believed to be there.
@@ -91,7 +96,9 @@ impl fmt::Display for Rejection {
         match self {
             Self::Unlikely { got, needed } => write!(formatter, "probability {got:.3} < {needed:.3}"),
             Self::NextIsLikelier => write!(formatter, "a place next to it is likelier"),
-            Self::NotSeen => write!(formatter, "expected, but not seen in the frame"),
+            Self::NotSeen { got, needed } => {
+                write!(formatter, "the frame itself says too little: log odds {got:+.2}, needed {needed:+.2}")
+            }
             Self::WithinPlaceInterval => write!(formatter, "within the place interval"),
             Self::Overruled { by, inliers } => {
                 write!(formatter, "geometry overrules the CNN: place {} has {inliers} inliers", by.0)

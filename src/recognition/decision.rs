@@ -14,9 +14,9 @@ use crate::verification::Verification;
 
 /// Log odds that a frame has to give a place itself: whatever was seen before, what it speaks against is not its place.
 const LEAST_LOG_ODDS: f32 = -3.0;
-/// Log odds from which on a frame shows a place itself. Only then does it join it: a robot that stays where it is believed
-/// to be would otherwise take its place along, and all would become one.
-const SHOWN_LOG_ODDS: f32 = 1.0;
+/// Log odds from which on a frame shows a place itself. Only then does it join it: a robot that stays where it is
+/// believed to be would otherwise take its places along, and all would become one.
+pub(super) const SHOWN_LOG_ODDS: f32 = 1.0;
 
 impl Recogniser {
     /// Says of every candidate how likely it is and, where that is too little, that it is turned down.
@@ -31,23 +31,22 @@ impl Recogniser {
             false => Expectation::of_nothing(),
         };
         self.belief = expected.seeing(&log_odds);
-        let thresholds = self.thresholds();
-        let needed = thresholds.probability;
-        let is_seen = |place: PlaceId| {
-            let is_found = clues.get(&place).is_some_and(|clues| clues.are_any());
-            is_found && log_odds.get(&place).is_some_and(|&said| said >= thresholds.log_odds)
-        };
         let grounds = self.grounds(&clues, &log_odds, &expected);
+        let Thresholds { probability: needed, log_odds: least, .. } = grounds.thresholds;
+        let twins = grounds.twins(STRONG * self.options.min_inliers);
         for candidate in candidates.iter_mut() {
             candidate.probability = self.belief.of(candidate.place);
-            let got = grounds.around(candidate.place);
-            if got == 0.0 && candidate.probability > 0.0 {
-                candidate.rejected.get_or_insert(Rejection::NextIsLikelier);
+            let got = grounds.around(candidate.place) + twins.beside(candidate.place);
+            let said = log_odds.get(&candidate.place).copied();
+            let why = if got == 0.0 && candidate.probability > 0.0 {
+                Some(Rejection::NextIsLikelier)
             } else if got < needed {
-                candidate.rejected.get_or_insert(Rejection::Unlikely { got, needed });
-            } else if !is_seen(candidate.place) {
-                candidate.rejected.get_or_insert(Rejection::NotSeen);
-            }
+                Some(Rejection::Unlikely { got, needed })
+            } else {
+                said.filter(|_| !grounds.may_be(candidate.place))
+                    .map(|got| Rejection::NotSeen { got, needed: least })
+            };
+            candidate.rejected = candidate.rejected.or(why);
         }
         grounds
     }
@@ -61,18 +60,14 @@ impl Recogniser {
         }
     }
 
-    /// Whether the frame itself shows the place.
-    pub(super) fn is_shown(grounds: &Grounds, place: PlaceId) -> bool {
-        let of_place = grounds.of(place).and_then(|grounds| grounds.log_odds);
-        of_place.is_some_and(|log_odds| log_odds >= SHOWN_LOG_ODDS)
-    }
-
     fn clues(&self, candidates: &Candidates) -> BTreeMap<PlaceId, Clues> {
         let places: BTreeSet<PlaceId> = candidates.iter().map(|candidate| candidate.place).collect();
         let next = |place| (place, belief::neighbours(&self.map, place));
         let next: BTreeMap<PlaceId, BTreeSet<PlaceId>> = places.into_iter().map(next).collect();
-        let are_next = |a: PlaceId, b: PlaceId| next.get(&a).is_some_and(|next| next.contains(&b));
-        fusion::clues(candidates, |keyframe| self.appearances.contains(keyframe), are_next)
+        let leads = |a: PlaceId, b: PlaceId| next.get(&a).is_some_and(|next| next.contains(&b));
+        let are_next = |a: PlaceId, b: PlaceId| leads(a, b) && leads(b, a);
+        let is_described = |keyframe| self.appearances.contains(keyframe);
+        fusion::clues(candidates, self.model.as_ref(), is_described, are_next)
     }
 
     fn grounds(
@@ -81,24 +76,26 @@ impl Recogniser {
         log_odds: &BTreeMap<PlaceId, f32>,
         expected: &Expectation,
     ) -> Grounds {
-        let places: BTreeSet<PlaceId> = log_odds.keys().copied().chain(expected.places()).collect();
-        // What geometry verifies beyond doubt shows this very scene: a place that was founded twice.
-        let is_strong = |clues: &Clues| clues.inliers >= STRONG * self.options.min_inliers;
-        let twins: BTreeSet<PlaceId> =
-            clues.iter().filter(|(_, clues)| is_strong(clues)).map(|(&place, _)| place).collect();
-        let none = BTreeSet::new();
+        let thresholds = self.thresholds();
+        // Where nothing was found of a place, the frame says nothing for it, however little it says against it.
+        let may_be = |place: PlaceId| {
+            let is_found = clues.get(&place).is_some_and(|clues| clues.are_any());
+            is_found && log_odds.get(&place).is_some_and(|&said| said >= thresholds.log_odds)
+        };
         let of = |place: PlaceId| PlaceGrounds {
             place,
             clues: clues.get(&place).copied(),
             log_odds: log_odds.get(&place).copied(),
-            before: expected.of(place),
+            before: expected.share(place),
             after: self.belief.of(place),
-            around: self.belief.around(place, &self.map, if twins.contains(&place) { &twins } else { &none }),
+            around: self.belief.around(place, &self.map, may_be),
+            may_be: may_be(place),
         };
+        let places: BTreeSet<PlaceId> = log_odds.keys().copied().chain(expected.places()).collect();
         let mut places: Vec<PlaceGrounds> = places.into_iter().map(of).collect();
         places.sort_by(|a, b| b.after.total_cmp(&a.after));
         let elsewhere = [expected.of_elsewhere(), self.belief.of_elsewhere()];
-        Grounds { places, elsewhere, thresholds: self.thresholds() }
+        Grounds { places, elsewhere, thresholds }
     }
 
     /// The candidate that speaks most for the likeliest place that nothing speaks against: the CNN where it is sure,
@@ -109,8 +106,9 @@ impl Recogniser {
         let place = open().find(|candidate| candidate.probability >= likeliest)?.place;
         let speaks = |candidate: &&Candidate| match candidate.by {
             _ if self.is_known_by_cnn(candidate) => u32::MAX,
-            Evidence::BowHv => candidate.inliers.unwrap_or_default().saturating_mul(2),
-            _ => 1,
+            Evidence::BowHv => candidate.inliers.unwrap_or_default(),
+            // What geometry does not verify the CNN found.
+            _ => self.options.min_inliers.saturating_sub(1),
         };
         // Of equals the first.
         open().filter(|candidate| candidate.place == place).rev().max_by_key(speaks).cloned()
@@ -124,7 +122,7 @@ impl Recogniser {
 
     /// The decision, before anything is written. A new place has no number yet.
     pub(super) fn judge(
-        &mut self,
+        &self,
         chosen: Option<Candidate>,
         (candidates, grounds): (Candidates, Grounds),
         verification: Option<Verification>,
@@ -137,7 +135,8 @@ impl Recogniser {
                 (decision, Some(chosen.by), Some(chosen.place), grounds.around(chosen.place))
             }
             (None, Some(place)) => {
-                (Decision::SamePlace, Some(Evidence::PlaceInterval), Some(place), grounds.around(place))
+                let likely = grounds.around(place).max(self.belief.of(place));
+                (Decision::SamePlace, Some(Evidence::PlaceInterval), Some(place), likely)
             }
             // A single frame founds no place.
             (None, None) if self.options.read_only || self.has_shown => {
@@ -165,7 +164,11 @@ impl Recogniser {
         let inliers = chosen.inliers.filter(|&inliers| inliers >= self.options.min_inliers);
         for candidate in candidates.iter_mut().filter(|candidate| *candidate != chosen) {
             let is_other = candidate.place != chosen.place && self.is_known_by_cnn(candidate);
-            match inliers.filter(|_| is_other) {
+            let is_told = matches!(
+                candidate.rejected,
+                None | Some(Rejection::Unlikely { .. } | Rejection::NotSeen { .. })
+            );
+            match inliers.filter(|_| is_other && is_told) {
                 Some(inliers) => {
                     candidate.rejected = Some(Rejection::Overruled { by: chosen.place, inliers })
                 }
@@ -180,7 +183,7 @@ impl Recogniser {
 
 #[cfg(test)]
 mod tests {
-    use super::super::made_up_world::{Robot, appearance, card, in_memory};
+    use super::super::world_for_tests::{Robot, appearance, card, in_memory};
     use super::super::{Look, RecognitionOptions};
     use super::*;
     use crate::place_map::ExperienceId;

@@ -1,8 +1,9 @@
 //! What the CNN and geometry say together of one place.
 //!
-//! A logistic model over few numbers: how alike the place is and how many effective inliers agree, and by how much it is
-//! ahead of others (Lowe's ratio test, for places). What is about as alike as many places may be any of them. Its weights are
-//! in the model's card, those of geometry alone here; both were fitted by `models/fuse.py`, which says on what.
+//! A logistic model over few numbers: how alike the place is and how many effective inliers agree, and by how much it
+//! is ahead of others (Lowe's ratio test, for places). What is about as alike as many places may be any of them. Its
+//! weights are in the model's card, those of geometry alone here; both were fitted by `models/fuse.py`, which says on
+//! what.
 
 use std::collections::BTreeMap;
 
@@ -10,12 +11,12 @@ use super::candidate::{Candidate, Evidence};
 use crate::cnn::ModelCard;
 use crate::place_map::{ExperienceId, PlaceId};
 
-/// Log odds that a place is right where no CNN takes part: offset, and weights of ln(1 + effective inliers), of there being
-/// any, and of what that logarithm is more than that of the best other place.
+/// Log odds that a place is right where no CNN takes part: offset, and weights of ln(1 + effective inliers), of there
+/// being any, and of what that logarithm is more than that of the best other place.
 const GEOMETRY: [f32; 4] = [-0.637, 2.092, -4.847, 1.143];
 
-/// Log odds that a place is right whose cosine passes the card's threshold, which one in two hundred frames of other places
-/// does: half of the frames of the place itself do, too. That says enough: by night there may be no geometry to ask.
+/// Log odds that a place is right whose cosine passes the card's threshold: ln 100. One in two hundred frames of other
+/// places passes it, and half of those of the place itself by day. By night there may be no geometry to ask.
 const PASSED: f32 = 4.6;
 /// Effective inliers of another place from which on it does not.
 const VERIFIED: u32 = 8;
@@ -27,8 +28,8 @@ const RIVAL: usize = 4;
 pub struct Clues {
     /// Cosine of the CNN descriptors, if a CNN takes part.
     pub cosine: Option<f32>,
-    /// Cosine of the fourth most alike of the other places; `None` where there are fewer to compare with. The first three
-    /// may share its view.
+    /// Cosine of the fourth most alike of the other places; `None` where there are fewer to compare with. The first
+    /// three may share its view.
     pub rival_cosine: Option<f32>,
     /// Effective inliers; 0 where geometry found nothing.
     pub inliers: u32,
@@ -60,29 +61,31 @@ impl Clues {
         if passes { together.max(PASSED) } else { together }
     }
 
-    /// Whether anything was found of the place at all.
-    pub(super) fn are_any(self) -> bool {
-        self.cosine.is_some() || self.inliers > 0
-    }
-
     /// The probability of that.
     #[must_use]
     pub fn probability(self, model: Option<&ModelCard>) -> f32 {
         1.0 / (1.0 + (-self.log_odds(model)).exp())
     }
+
+    /// Whether anything was found of the place at all.
+    pub(super) fn are_any(self) -> bool {
+        self.cosine.is_some() || self.inliers > 0
+    }
 }
 
 /// The clues of each candidate's place. Candidates that were turned down count for nothing. `is_described` says which
-/// keyframes the CNN could have found, `are_next` which places lie next to each other along the ways of the robot.
+/// keyframes the CNN could have found, `are_next` which places lie next to each other along the robot's ways.
 pub(super) fn clues(
     candidates: &[Candidate],
+    model: Option<&ModelCard>,
     is_described: impl Fn(ExperienceId) -> bool,
     are_next: impl Fn(PlaceId, PlaceId) -> bool,
 ) -> BTreeMap<PlaceId, Clues> {
     let open = || candidates.iter().filter(|candidate| candidate.rejected.is_none());
     let by_cnn = || open().filter(|candidate| candidate.by == Evidence::Cnn);
-    // What is no candidate of the CNN's is at most as alike as the last of them.
+    // What is no candidate of the CNN's is at most as alike as the last of them, and passes no threshold.
     let least = by_cnn().map(|candidate| candidate.score).reduce(f32::min);
+    let least = least.zip(model).map(|(least, model)| least.min(model.decision.recognise_above.next_down()));
     let mut clues: BTreeMap<PlaceId, Clues> = BTreeMap::new();
     for candidate in open() {
         let cosine = match candidate.by {
@@ -154,7 +157,7 @@ mod tests {
         let rejected = Some(crate::recognition::Rejection::WithinPlaceInterval);
         let left = Candidate { rejected, ..candidate(4, Evidence::Cnn, 0.9, None) };
         let found = [here, elsewhere, left, verified, unknown];
-        let clues = clues(&found, |_| true, |a, b| a.0 + b.0 == 3);
+        let clues = clues(&found, Some(&card()), |_| true, |a, b| a.0 + b.0 == 3);
         let of = |place| clues[&PlaceId(place)];
         assert_eq!((of(1).cosine, of(1).inliers, of(1).rival_inliers), (Some(0.7), 20, 5), "2 is next to it");
         assert_eq!((of(2).cosine, of(2).inliers, of(2).rival_inliers), (Some(0.6), 0, 5));
@@ -168,17 +171,22 @@ mod tests {
         let named = candidate(1, Evidence::Cnn, 0.9, None);
         let other = candidate(2, Evidence::BowHv, 0.1, Some(0));
         let of = |is_described: bool| {
-            clues(&[named.clone(), other.clone()], |_| is_described, |_, _| false)[&PlaceId(2)]
+            clues(&[named.clone(), other.clone()], Some(&card()), |_| is_described, |_, _| false)[&PlaceId(2)]
         };
-        assert_eq!((of(true).cosine, of(false).cosine), (Some(0.9), None));
+        assert_eq!(
+            (of(true).cosine, of(false).cosine),
+            (Some(0.8_f32.next_down()), None),
+            "below the threshold"
+        );
     }
 
     #[test]
     fn a_place_has_to_be_ahead_of_the_fourth_other_one() {
         let named: Vec<Candidate> =
             (0..6).map(|i| candidate(i, Evidence::Cnn, 0.9 - 0.1 * i as f32, None)).collect();
-        let rival =
-            |named: &[Candidate], place| clues(named, |_| true, |_, _| false)[&PlaceId(place)].rival_cosine;
+        let rival = |named: &[Candidate], place| {
+            clues(named, Some(&card()), |_| true, |_, _| false)[&PlaceId(place)].rival_cosine
+        };
         assert_eq!((rival(&named, 0), rival(&named, 5)), (Some(named[4].score), Some(named[3].score)));
         assert_eq!(rival(&named[..4], 0), None, "too few to tell");
     }

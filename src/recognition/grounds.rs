@@ -12,12 +12,15 @@ pub struct PlaceGrounds {
     pub clues: Option<Clues>,
     /// Log odds that what was found makes it the right one.
     pub log_odds: Option<f32>,
-    /// Probability before the frame.
+    /// Probability before the frame, by where the robot was; that of turning up there from anywhere comes on top.
     pub before: f32,
     /// Probability after it.
     pub after: f32,
-    /// The same with the places next to it: what has to pass the threshold; 0 if one of these is likelier.
+    /// The same with the places next to it: what has to pass the threshold; 0 if one of these is likelier and may be
+    /// it.
     pub around: f32,
+    /// Whether the frame itself says enough for it.
+    pub may_be: bool,
 }
 
 /// What a place has to reach.
@@ -44,6 +47,21 @@ pub struct Grounds {
     pub thresholds: Thresholds,
 }
 
+/// Places that one frame shows beyond doubt: one place that was founded twice.
+pub(super) struct Twins(Vec<(PlaceId, f32)>);
+
+impl Twins {
+    /// Probability of the others, if the place is one of them. It counts where a place is accepted, and not for how
+    /// sure that is: they may be two that look alike.
+    pub(super) fn beside(&self, place: PlaceId) -> f32 {
+        let Self(twins) = self;
+        if !twins.iter().any(|&(twin, _)| twin == place) {
+            return 0.0;
+        }
+        twins.iter().filter(|&&(twin, _)| twin != place).map(|&(_, likely)| likely).sum()
+    }
+}
+
 impl Grounds {
     /// What was thought of a place.
     #[must_use]
@@ -55,5 +73,20 @@ impl Grounds {
     #[must_use]
     pub fn around(&self, place: PlaceId) -> f32 {
         self.of(place).map_or(0.0, |grounds| grounds.around)
+    }
+
+    pub(super) fn may_be(&self, place: PlaceId) -> bool {
+        self.of(place).is_some_and(|grounds| grounds.may_be)
+    }
+
+    /// Whether the frame itself shows the place, being likelier by it than `log_odds`.
+    pub(super) fn shows(&self, place: PlaceId, log_odds: f32) -> bool {
+        self.of(place).and_then(|grounds| grounds.log_odds).is_some_and(|said| said >= log_odds)
+    }
+
+    /// The places that geometry verifies with so many effective inliers.
+    pub(super) fn twins(&self, inliers: u32) -> Twins {
+        let is_strong = |grounds: &&PlaceGrounds| grounds.clues.is_some_and(|clues| clues.inliers >= inliers);
+        Twins(self.places.iter().filter(is_strong).map(|grounds| (grounds.place, grounds.after)).collect())
     }
 }

@@ -11,7 +11,7 @@ use crate::place_map::{
 };
 use crate::vocabulary::Light;
 
-/// Grey levels by which the mean luminance of a frame differs from that of all keyframes of its place where it becomes one.
+/// Grey levels by which a frame's mean luminance differs from that of all keyframes of its place where it becomes one.
 const OTHER_LIGHT_LUMINANCE: f32 = 16.0;
 /// Least probability of a place that gets a keyframe for its light.
 const SURE: f32 = 0.9;
@@ -20,8 +20,8 @@ const LIKELY_OTHER: f32 = 0.1;
 
 impl Recogniser {
     /// Whether the frame shows its place as none of the keyframes does. The CNN judges; without one, whatever BoW+HV
-    /// did not match is new. Where the place was taken for known by what was seen before, or another one is likely, too,
-    /// no frame becomes a keyframe.
+    /// did not match is new. Where the place was taken for known by what was seen before, or another one is likely,
+    /// too, no frame becomes a keyframe.
     pub(super) fn is_new_look(&self, recognition: &Recognition) -> bool {
         let is_doubtful = match recognition.decision {
             Decision::Recognised | Decision::Revisited => {
@@ -40,8 +40,8 @@ impl Recogniser {
             .any(|candidate| Some(candidate.place) == recognition.place && self.is_known_by_cnn(candidate))
     }
 
-    /// Whether a place that is known for sure has no keyframe in this light yet: by these, dusk links the day to the night.
-    /// Only light makes a keyframe of a frame late in a visit, so a place does not grow along with the robot.
+    /// Whether a place that is known for sure has no keyframe in this light yet: by these, dusk links the day to the
+    /// night. Only light makes a keyframe of a frame late in a visit, so a place does not grow along with the robot.
     pub(super) fn is_in_new_light(&self, (place, confidence): (PlaceId, f32), light: Light) -> bool {
         let vocabularies = self.keyframes.vocabularies();
         let experiences = self.map.place(place).into_iter().flat_map(|place| &place.experiences);

@@ -3,7 +3,8 @@
 //! The CNN and geometry each name places; what they say of one together is its log odds, and what was believed before
 //! turns that into a probability (`fusion`, `belief`). The likeliest place above the threshold is `recognised`, or
 //! `revisited` where geometry says more than the CNN. Else the frame founds a new place, unless the place we are in was
-//! founded a moment ago (Algorithm 1 of the paper). Every candidate that was turned down says why.
+//! founded a moment ago (Algorithm 1 of the paper), or is `unknown`, where the map is read-only or only one frame says
+//! so. Every candidate that was turned down says why.
 //!
 //! A pure state machine: the same frames give the same decisions, whatever the clock says.
 
@@ -18,13 +19,13 @@ mod joining;
 mod keyframe_index;
 mod learning;
 mod look;
-#[cfg(test)]
-mod made_up_world;
 mod options;
 mod recogniser;
 mod renewal;
 mod visits;
 mod working_set;
+#[cfg(test)]
+mod world_for_tests;
 
 pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
 pub use fusion::Clues;

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::appearance::AppearanceIndex;
 use super::belief::Belief;
 use super::candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
+use super::decision::SHOWN_LOG_ODDS;
 use super::identity::Identities;
 use super::keyframe_index::KeyframeIndex;
 use super::look::Look;
@@ -32,7 +33,7 @@ pub struct Recogniser {
     pub(super) renewals: Renewals,
     /// Where the robot is.
     pub(super) belief: Belief,
-    /// Whether the frame before showed a known place, and what was seen before that counts.
+    /// Whether the frame before showed a known place; never where every frame counts by itself.
     pub(super) has_shown: bool,
     pub(super) foreign_descriptors: usize,
     /// Why the map cannot be read or changed, until somebody asks.
@@ -238,7 +239,7 @@ impl Recogniser {
         if let Some(chosen) = &chosen {
             self.mark_outdone(&mut candidates, chosen);
         }
-        let is_shown = chosen.as_ref().map(|chosen| Self::is_shown(&grounds, chosen.place));
+        let is_shown = chosen.as_ref().map(|chosen| grounds.shows(chosen.place, SHOWN_LOG_ODDS));
         let mut recognition = self.judge(chosen, (candidates, grounds), verification);
         self.has_shown = is_shown == Some(true) && self.options.sequence;
         let says_something = recognition.decision != Decision::Unknown && is_shown != Some(false);
@@ -293,6 +294,7 @@ impl Recogniser {
     pub fn begin_anew(&mut self) {
         self.belief = Belief::default();
         self.has_shown = false;
+        self.visits = Visits::new(self.options.place_interval);
     }
 }
 
@@ -301,7 +303,7 @@ mod tests {
     use std::path::Path;
     use std::sync::atomic::AtomicBool;
 
-    use super::super::made_up_world::{Robot, appearance, card, features, in_memory, no_interval, opened};
+    use super::super::world_for_tests::{Robot, appearance, card, features, in_memory, no_interval, opened};
     use super::super::{Join, Support, Walk};
     use super::*;
     use crate::place_map::{Appearance, NewExperience, PlaceId, Traits};

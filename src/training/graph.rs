@@ -3,7 +3,7 @@
 use super::error::TrainingError;
 use super::head::Head;
 use super::trained_model::of_backbone;
-use crate::cnn::{DescriptorCard, ModelCard, TrainingCard};
+use crate::cnn::{DescriptorCard, FusionCard, ModelCard, TrainingCard};
 use crate::onnx::{Attribute, Dimension, GraphBuilder, OnnxError, OnnxModel, Value};
 
 /// Name of the output that holds the descriptor, of unit length.
@@ -31,6 +31,7 @@ impl Head {
             source: format!("backbone {name} {version}, SHA-256 {sha256}"),
             descriptor: self.descriptor_card(),
             training: TrainingCard { data: of_backbone(&card.training.data) },
+            fusion: FusionCard { data: of_backbone(&card.fusion.data), ..card.fusion.clone() },
             ..card.clone()
         };
         Ok((network, card))

@@ -25,7 +25,7 @@ use super::labelled::{Glance, Labelled};
 use super::pictures::{Picture, Pictures};
 use super::trained_model::NOTHING_RECOGNISED;
 use super::variation::Variation;
-use crate::cnn::{InputCard, ModelCard, Preprocessor, TrainingCard};
+use crate::cnn::{FusionCard, InputCard, ModelCard, Preprocessor, TrainingCard};
 use crate::onnx::{Attribute, Dimension, GraphBuilder, OnnxModel, Value};
 use crate::raster::RgbImage;
 
@@ -243,6 +243,7 @@ impl PaperCnn {
             input: input_card(),
             descriptor: self.head.descriptor_card(),
             decision: NOTHING_RECOGNISED,
+            fusion: FusionCard::default(),
             training: TrainingCard { data: "No other images.".to_owned() },
             metrics: BTreeMap::new(),
             classes: Vec::new(),

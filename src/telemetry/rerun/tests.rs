@@ -96,6 +96,7 @@ fn matched(index: u64) -> FrameRecord {
         correspondences: (0..3).map(pair).collect(),
         inliers: vec![0, 2],
         effective_inliers: 2,
+        votes: 1.5,
         keyframe_from_query: None,
     });
     record.matched = Some(MatchedKeyframe {

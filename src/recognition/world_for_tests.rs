@@ -1,5 +1,5 @@
-//! A made-up world for the tests of recognition: places are random features, looks are CNN descriptors that have nothing in
-//! common.
+//! A made-up world for the tests of recognition: places are random features, looks are CNN descriptors that have
+//! nothing in common.
 
 use std::path::Path;
 use std::sync::Arc;
