@@ -158,17 +158,19 @@ fn a_frame_is_explained_with_its_candidates_belief_and_thresholds_and_no_other_l
 }
 
 #[test]
-fn every_frame_by_itself_and_with_those_before_it_give_other_answers_of_one_map() {
+fn with_the_frames_before_it_more_of_a_night_is_named_than_frame_by_frame_and_no_more_of_another_world() {
     let folder = tempfile::tempdir().unwrap();
     let map = folder.path().join("map");
     let map = map.to_str().unwrap();
     assert_eq!(loci(&["run", "synthetic:street?laps=1&light=noon&frames=60&seed=21", "--map", map]).code, 0);
-    let named = |sequence: &str| {
-        let world = "synthetic:street?laps=1&light=night&frames=60&seed=21";
+    let named = |world: &str, sequence: &str| {
         let run = loci(&["run", world, "--map", map, "--read-only", "--json", "--sequence", sequence]);
         assert_eq!(run.code, 0, "{}", run.stderr);
         run.records().iter().filter(|record| record["decision"] != "unknown").count()
     };
-    let (alone, in_sequence) = (named("off"), named("on"));
+    let night = "synthetic:street?laps=1&light=night&frames=60&seed=21";
+    let (alone, in_sequence) = (named(night, "off"), named(night, "on"));
     assert!(in_sequence > alone, "{in_sequence} in sequence, {alone} alone");
+    let elsewhere = named("synthetic:street?laps=1&light=noon&frames=60&seed=99", "on");
+    assert!(elsewhere <= 6, "{elsewhere} of 60 frames of another world");
 }
