@@ -173,26 +173,16 @@ pub(super) fn neighbours(map: &PlaceMap, place: PlaceId) -> BTreeSet<PlaceId> {
 mod tests {
     use proptest::prelude::*;
 
+    use super::super::world_for_tests::{frame, in_memory};
     use super::*;
     use crate::feature::Features;
-    use crate::frame::Frame;
-    use crate::place_map::{MapOptions, NewExperience, Traits};
-    use crate::raster::{GreyImage, RgbImage};
+    use crate::place_map::{NewExperience, Traits};
 
     /// A map of so many places, founded one after the other along a way.
     fn way(places: u32) -> PlaceMap {
-        let mut map = PlaceMap::in_memory(MapOptions::default()).unwrap();
+        let mut map = in_memory();
         for index in 0..u64::from(places) {
-            let frame = Frame {
-                index,
-                capture_nanos: 0,
-                name: String::new(),
-                colour: RgbImage::new(1, 1),
-                grey: GreyImage::new(1, 1),
-                jpeg: None,
-                pose: None,
-                true_place: None,
-            };
+            let frame = frame(index);
             let new = NewExperience {
                 frame: &frame,
                 view: index,

@@ -26,6 +26,20 @@ pub(super) fn opened(folder: &Path) -> PlaceMap {
     PlaceMap::open(folder, MapOptions::default()).unwrap()
 }
 
+/// A frame of which nothing but its number matters.
+pub(super) fn frame(index: u64) -> Frame {
+    Frame {
+        index,
+        capture_nanos: 0,
+        name: String::new(),
+        colour: RgbImage::new(1, 1),
+        grey: GreyImage::new(1, 1),
+        jpeg: None,
+        pose: None,
+        true_place: None,
+    }
+}
+
 /// The features that are seen at a made-up place.
 pub(super) fn features(place: u64) -> Features {
     let mut random = Pcg64::seed_from_u64(place);
@@ -118,16 +132,7 @@ impl Robot {
     }
 
     pub(super) fn frame(&self) -> Frame {
-        Frame {
-            index: self.frames,
-            capture_nanos: 0,
-            name: String::new(),
-            colour: RgbImage::new(1, 1),
-            grey: GreyImage::new(1, 1),
-            jpeg: None,
-            pose: None,
-            true_place: None,
-        }
+        frame(self.frames)
     }
 
     /// Goes to a place that no test looks at.
