@@ -30,7 +30,7 @@ const FRAMES_A_WORLD: usize = 60;
 const STARTED: f64 = 0.1;
 const ENDING: f64 = 0.9;
 /// Within so long after its last answer a run closes its map.
-const CLOSING: Duration = Duration::from_millis(10);
+const CLOSING: Duration = Duration::from_millis(5);
 const SLOWEST_RECOVERY: Duration = Duration::from_secs(1);
 /// Experiences of a place that is full.
 const FULL_PLACE: usize = 100;
@@ -224,18 +224,18 @@ fn killed_run(
     let lines = reader.join().unwrap();
     let errors = fs::read_to_string(errors).unwrap();
     let is_killed = status.signal() == Some(9);
-    // What the kill before tore off is lost, which the next run that ends says with a 3.
-    // The same number says that places alone fill the little room that the maps here get.
-    let is_said = ["last record was torn", "the map is full"].iter().any(|reason| errors.contains(reason));
-    let has_said_why = status.code() == Some(3) && is_said;
+    // What the kill before tore off is lost, and places alone may fill the little room that the maps here get: a run
+    // says so, and with a 3 where it ends.
+    let is_expected =
+        |line: &str| ["last record was torn", "the map is full"].iter().any(|said| line.contains(said));
+    let has_said_why = status.code() == Some(3) && is_expected(&errors);
     if !is_killed && !status.success() && !has_said_why {
         complaints.push(format!("a run ended by itself with {status}: {errors}"));
     }
     if is_killed {
         // What a run says once it is over is no complaint.
-        let complaint = |line: &&str| {
-            line.starts_with("loci: ") && !line.contains("NO CNN") && !line.contains("last record was torn")
-        };
+        let complaint =
+            |line: &&str| line.starts_with("loci: ") && !line.contains("NO CNN") && !is_expected(line);
         complaints.extend(errors.lines().filter(complaint).map(str::to_owned));
     }
     (lines, is_killed)

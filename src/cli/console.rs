@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use loci::cnn::{CnnError, ModelCard};
 use loci::pipeline::{RunSummary, Watcher};
 use loci::place_map::MapError;
-use loci::recognition::Decision;
+use loci::recognition::{Candidate, Decision, Recognition, Rejection};
 use loci::source::SourceError;
 use loci::telemetry::{FrameRecord, RecognitionSink, TelemetryError};
 
@@ -39,17 +39,13 @@ impl<W: Write + Send> RecognitionSink for HumanLines<W> {
         let recognition = &record.recognition;
         let place = recognition.place.map_or("-".to_owned(), |place| place.0.to_string());
         let name = recognition.name.as_deref().unwrap_or_default();
-        let evidence = match (recognition.by, recognition.inliers) {
-            (Some(by), Some(inliers)) => format!("{} {inliers} inliers", by.as_str()),
-            (Some(by), None) => by.as_str().to_owned(),
-            (None, _) => String::new(),
-        };
         let line = format!(
-            "{:>6}  {:<20}  {:<10}  place {place:>4} {name}  {:.2}  {evidence}",
+            "{:>6}  {:<20}  {:<10}  place {place:>4} {name}  {:.2}  {}",
             record.frame.index,
             record.frame.name,
             recognition.decision.as_str(),
             recognition.confidence,
+            evidence(recognition),
         );
         Ok(writeln!(self.0, "{}", line.trim_end())?)
     }
@@ -57,6 +53,21 @@ impl<W: Write + Send> RecognitionSink for HumanLines<W> {
     fn finish(&mut self) -> Result<(), TelemetryError> {
         Ok(self.0.flush()?)
     }
+}
+
+/// What decided, and whom it overruled.
+fn evidence(recognition: &Recognition) -> String {
+    let mut text = match (recognition.by, recognition.inliers) {
+        (Some(by), Some(inliers)) => format!("{} {inliers} inliers", by.as_str()),
+        (Some(by), None) => by.as_str().to_owned(),
+        (None, _) => String::new(),
+    };
+    let is_overruled =
+        |candidate: &&Candidate| matches!(candidate.rejected, Some(Rejection::Overruled { .. }));
+    if let Some(overruled) = recognition.candidates.iter().find(is_overruled) {
+        text += &format!(", overrules the CNN, which is sure of place {}", overruled.place.0);
+    }
+    text
 }
 
 /// Reports on stderr what happens while a stream runs.
@@ -178,7 +189,36 @@ pub(super) fn summary_text(summary: &RunSummary) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::counted;
+    use loci::place_map::{ExperienceId, PlaceId};
+    use loci::recognition::{Candidates, Evidence, Grounds};
+
+    use super::*;
+
+    #[test]
+    fn a_line_says_whom_geometry_overrules() {
+        let (place, keyframe) = (PlaceId(7), ExperienceId(70));
+        let rejected = Some(Rejection::Overruled { by: PlaceId(3), inliers: 41 });
+        let by = Evidence::Cnn;
+        let (votes, inliers, probability) = (None, None, 0.1);
+        let overruled = Candidate { place, keyframe, by, score: 0.95, votes, inliers, probability, rejected };
+        let mut recognition = Recognition {
+            decision: Decision::Revisited,
+            by: Some(Evidence::BowHv),
+            place: Some(PlaceId(3)),
+            name: None,
+            keyframe: None,
+            experience: None,
+            confidence: 0.9,
+            inliers: Some(41),
+            candidates: Candidates::new(),
+            verification: None,
+            grounds: Grounds::default(),
+        };
+        assert_eq!(evidence(&recognition), "bow_hv 41 inliers");
+        recognition.candidates.push(overruled).unwrap();
+        let said = evidence(&recognition);
+        assert_eq!(said, "bow_hv 41 inliers, overrules the CNN, which is sure of place 7");
+    }
 
     #[test]
     fn one_is_no_plural() {

@@ -3,7 +3,7 @@
 /// Names and meanings of the [`Figures`](super::results::Figures). "Known" frames are the scored query
 /// frames whose place the reference shows, "unknown" ones the rest; an answer is "given" at the shipped
 /// threshold.
-pub const DEFINITIONS: [(&str, &str); 16] = [
+pub const DEFINITIONS: [(&str, &str); 17] = [
     (
         "recognition_rate",
         "scored query frames, known or not, whose place is named rightly / all scored query frames; \
@@ -59,6 +59,11 @@ pub const DEFINITIONS: [(&str, &str); 16] = [
         "purity",
         "experiences of the reference that show the same place as the most typical one of their place / \
          experiences; not known where the ground truth lists pairs",
+    ),
+    (
+        "false_merges",
+        "experiences of the reference that truly show another place than all before them in the place they joined / \
+         experiences that joined a place; not known where the ground truth lists pairs",
     ),
     ("places_founded", "places that Loci founded on the reference"),
     (

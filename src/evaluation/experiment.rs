@@ -254,6 +254,8 @@ impl<'a> Evaluator<'a> {
         if answers.database == Database::Map {
             let one_place = |a: usize, b: usize| scene.truth.are_one_place(a, b);
             score.figures.purity = metrics::purity(&answers.places, one_place);
+            score.figures.false_merges =
+                metrics::false_merges(&answers.places, |a, b| scene.truth.are_apart(a, b));
             score.figures.places_founded = Some(answers.places.len() as u64);
             score.figures.true_places = scene.true_places();
         }

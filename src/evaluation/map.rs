@@ -73,7 +73,7 @@ impl<'a> Robot<'a> {
 
     /// The frame that an experience is of.
     fn frame_of(&self, experience: ExperienceId) -> usize {
-        self.frames.get(experience.0 as usize).copied().unwrap_or_default()
+        self.frames[experience.0 as usize]
     }
 
     /// Answers along `traverse`, unless `stop` is set meanwhile.

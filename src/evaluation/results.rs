@@ -234,6 +234,7 @@ pub struct Figures {
     pub auroc: Option<Estimate>,
     pub expected_calibration_error: Option<Estimate>,
     pub purity: Option<Proportion>,
+    pub false_merges: Option<Proportion>,
     pub places_founded: Option<u64>,
     pub true_places: Option<u64>,
 }

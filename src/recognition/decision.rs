@@ -33,7 +33,7 @@ impl Recogniser {
         self.belief = expected.seeing(&log_odds);
         let grounds = self.grounds(&clues, &log_odds, &expected);
         let Thresholds { probability: needed, log_odds: least, .. } = grounds.thresholds;
-        let twins = grounds.twins(STRONG * self.options.min_inliers);
+        let twins = grounds.twins(self.beyond_doubt());
         for candidate in candidates.iter_mut() {
             candidate.probability = self.belief.of(candidate.place);
             let got = grounds.around(candidate.place) + twins.beside(candidate.place);
@@ -49,6 +49,11 @@ impl Recogniser {
             candidate.rejected = candidate.rejected.or(why);
         }
         grounds
+    }
+
+    /// Effective inliers from which on geometry verifies a place beyond doubt.
+    fn beyond_doubt(&self) -> u32 {
+        STRONG * self.options.min_inliers
     }
 
     fn thresholds(&self) -> Thresholds {
@@ -67,7 +72,7 @@ impl Recogniser {
         let leads = |a: PlaceId, b: PlaceId| next.get(&a).is_some_and(|next| next.contains(&b));
         let are_next = |a: PlaceId, b: PlaceId| leads(a, b) && leads(b, a);
         let is_described = |keyframe| self.appearances.contains(keyframe);
-        fusion::clues(candidates, self.model.as_ref(), is_described, are_next)
+        fusion::clues(candidates, self.model.as_ref(), is_described, are_next, self.beyond_doubt())
     }
 
     fn grounds(

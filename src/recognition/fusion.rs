@@ -33,7 +33,8 @@ pub struct Clues {
     pub rival_cosine: Option<f32>,
     /// Effective inliers; 0 where geometry found nothing.
     pub inliers: u32,
-    /// The most effective inliers of a place that is not next to it.
+    /// The most effective inliers of a place that is neither next to it nor its twin: two that are both verified
+    /// beyond doubt are one place that was founded twice, or the belief has to tell them apart.
     pub rival_inliers: u32,
 }
 
@@ -74,12 +75,14 @@ impl Clues {
 }
 
 /// The clues of each candidate's place. Candidates that were turned down count for nothing. `is_described` says which
-/// keyframes the CNN could have found, `are_next` which places lie next to each other along the robot's ways.
+/// keyframes the CNN could have found, `are_next` which places lie next to each other along the robot's ways; from
+/// `beyond_doubt` effective inliers on a place is verified beyond doubt.
 pub(super) fn clues(
     candidates: &[Candidate],
     model: Option<&ModelCard>,
     is_described: impl Fn(ExperienceId) -> bool,
     are_next: impl Fn(PlaceId, PlaceId) -> bool,
+    beyond_doubt: u32,
 ) -> BTreeMap<PlaceId, Clues> {
     let open = || candidates.iter().filter(|candidate| candidate.rejected.is_none());
     let by_cnn = || open().filter(|candidate| candidate.by == Evidence::Cnn);
@@ -101,8 +104,12 @@ pub(super) fn clues(
         // They come best first, one a place.
         let mut others = by_cnn().filter(|candidate| candidate.place != place);
         clues.rival_cosine = others.nth(RIVAL - 1).map(|candidate| candidate.score);
-        let others = inliers.iter().filter(|&&(other, _)| other != place && !are_next(place, other));
-        clues.rival_inliers = others.map(|&(_, inliers)| inliers).max().unwrap_or_default();
+        let are_twins = |other: u32| clues.inliers.min(other) >= beyond_doubt;
+        let is_rival = |&&(other, found): &&(PlaceId, u32)| {
+            other != place && !are_twins(found) && !are_next(place, other)
+        };
+        clues.rival_inliers =
+            inliers.iter().filter(is_rival).map(|&(_, found)| found).max().unwrap_or_default();
     }
     clues
 }
@@ -157,7 +164,7 @@ mod tests {
         let rejected = Some(crate::recognition::Rejection::WithinPlaceInterval);
         let left = Candidate { rejected, ..candidate(4, Evidence::Cnn, 0.9, None) };
         let found = [here, elsewhere, left, verified, unknown];
-        let clues = clues(&found, Some(&card()), |_| true, |a, b| a.0 + b.0 == 3);
+        let clues = clues(&found, Some(&card()), |_| true, |a, b| a.0 + b.0 == 3, 16);
         let of = |place| clues[&PlaceId(place)];
         assert_eq!((of(1).cosine, of(1).inliers, of(1).rival_inliers), (Some(0.7), 20, 5), "2 is next to it");
         assert_eq!((of(2).cosine, of(2).inliers, of(2).rival_inliers), (Some(0.6), 0, 5));
@@ -171,7 +178,8 @@ mod tests {
         let named = candidate(1, Evidence::Cnn, 0.9, None);
         let other = candidate(2, Evidence::BowHv, 0.1, Some(0));
         let of = |is_described: bool| {
-            clues(&[named.clone(), other.clone()], Some(&card()), |_| is_described, |_, _| false)[&PlaceId(2)]
+            clues(&[named.clone(), other.clone()], Some(&card()), |_| is_described, |_, _| false, 16)
+                [&PlaceId(2)]
         };
         assert_eq!(
             (of(true).cosine, of(false).cosine),
@@ -185,7 +193,7 @@ mod tests {
         let named: Vec<Candidate> =
             (0..6).map(|i| candidate(i, Evidence::Cnn, 0.9 - 0.1 * i as f32, None)).collect();
         let rival = |named: &[Candidate], place| {
-            clues(named, Some(&card()), |_| true, |_, _| false)[&PlaceId(place)].rival_cosine
+            clues(named, Some(&card()), |_| true, |_, _| false, 16)[&PlaceId(place)].rival_cosine
         };
         assert_eq!((rival(&named, 0), rival(&named, 5)), (Some(named[4].score), Some(named[3].score)));
         assert_eq!(rival(&named[..4], 0), None, "too few to tell");

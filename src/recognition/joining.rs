@@ -116,8 +116,8 @@ impl Recogniser {
         Ok(found)
     }
 
-    /// A keyframe of another map as if it were a frame. CNN descriptors of another model are not compared.
-    fn look_of(&self, map: &PlaceMap, keyframe: ExperienceId) -> Result<Look, MapError> {
+    /// A keyframe of a map as if it were a frame. CNN descriptors of another model are not compared.
+    pub(super) fn look_of(&self, map: &PlaceMap, keyframe: ExperienceId) -> Result<Look, MapError> {
         let vocabularies = self.vocabularies();
         let mean_luminance = map.experience(keyframe).and_then(|experience| experience.mean_luminance);
         let light = mean_luminance.map_or(Light::default(), |mean_luminance| Light {

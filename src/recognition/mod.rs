@@ -12,6 +12,7 @@ mod appearance;
 mod belief;
 mod candidate;
 mod decision;
+mod drift;
 mod fusion;
 mod grounds;
 mod identity;
@@ -22,12 +23,15 @@ mod look;
 mod options;
 mod recogniser;
 mod renewal;
+#[cfg(test)]
+mod sequence_tests;
 mod visits;
 mod working_set;
 #[cfg(test)]
 mod world_for_tests;
 
 pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
+pub use drift::Drift;
 pub use fusion::Clues;
 pub use grounds::{Grounds, PlaceGrounds, Thresholds};
 pub use joining::{Join, Support};

@@ -119,6 +119,28 @@ fn json(command: &str, map: &Path, arguments: &[&str]) -> Value {
 }
 
 #[test]
+fn a_place_whose_last_look_nothing_links_to_the_first_is_listed_and_the_map_stays_as_it_is() {
+    let (_folder, path) = map();
+    let drift = |more: &[&str]| finished(loci(&["map", "drift", &text(&path)]).args(more)).stdout;
+    assert_eq!(drift(&[]), "0 of 2 places drifted\n");
+    let mut map = opened(&path);
+    // So few features verify nothing, and too much lies between for one go.
+    (4..10).for_each(|index| learn(&mut map, Some(2), 2 * index + 1, ""));
+    learn(&mut map, Some(0), 30, "");
+    map.close().unwrap();
+    drop(map);
+    let before = files(&path);
+    assert_eq!(
+        drift(&[]),
+        "place 0 falls into 2 parts: experiences 0; 10\n1 of 2 places drifted\n"
+    );
+    let report: Value = serde_json::from_str(&drift(&["--json"])).unwrap();
+    assert_eq!(report["places"], 2);
+    assert_eq!(report["drifted"], serde_json::json!([{ "place": 0, "name": null, "parts": [[0], [10]] }]));
+    assert_eq!(files(&path), before);
+}
+
+#[test]
 fn info_counts_places_experiences_and_bytes() {
     let (_folder, map) = map();
     let info = json("info", &map, &[]);

@@ -59,6 +59,8 @@ def main():
     owner = {place: cameras.most_common(1)[0][0] for place, cameras in learnt.items()}
     pure = sum(cameras.most_common(1)[0][1] for cameras in learnt.values())
     count = sum(map(Counter.total, learnt.values()))
+    if not count:
+        raise SystemExit("nothing was learnt")
     dark = nights(table)
     known = [frame for frame in dark if records[frame]["decision"] not in ("unknown", "new_place")]
     right = sum(owner.get(records[frame]["place"]) == table[frame]["place"] for frame in known)

@@ -2,22 +2,20 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
-use loci::cnn::{CARD_FILE, ModelCard};
 use loci::place_map::{Durability, MapError, MapOptions, MapSummary, PlaceId, PlaceMap};
-use loci::recognition::{Join, Recogniser, RecognitionOptions, Support};
+use loci::recognition::{Join, Recogniser, Support};
 use loci::storage::{DiskFolder, Folder, WriterLock};
-use loci::vocabulary::VocabularySet;
 use serde::Serialize;
 
+use super::eyes::Eyes;
 use super::{folder_of, refuse_inside, report_losses};
 use crate::cli::console::{counted, say, spinner};
 use crate::cli::settings::StreamSettings;
 use crate::cli::size::Size;
-use crate::cli::{Outcome, WrongArgument, assets, stream};
+use crate::cli::{Outcome, WrongArgument, stream};
 
 /// Arguments of `loci map merge`.
 #[derive(Args)]
@@ -115,7 +113,7 @@ pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
     let options = MapOptions { durability: Durability::None, ..stream::map_options(&settings)? };
     check_folders(arguments)?;
     let stop = stream::stop_flag()?;
-    let [mut a, mut b] = recognisers(arguments, &settings)?;
+    let [mut a, mut b] = Eyes::new(&settings)?.open([&arguments.a, &arguments.b])?;
     go_on(&stop)?;
     let spinner = spinner("recognising the keyframes of each in the other");
     let joins = a.joins(&mut b, &stop);
@@ -177,36 +175,6 @@ fn go_on(stop: &AtomicBool) -> anyhow::Result<()> {
 fn unless_stopped<T>(stop: &AtomicBool, result: Result<T, MapError>) -> anyhow::Result<T> {
     go_on(stop)?;
     Ok(result?)
-}
-
-/// What recognises in A and in B, all of whose places are searched. The CNN itself is not needed: the maps hold its
-/// descriptors.
-fn recognisers(arguments: &MergeArguments, settings: &StreamSettings) -> anyhow::Result<[Recogniser; 2]> {
-    let vocabularies = Arc::new(VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?);
-    let card = if settings.is_without_cnn() { None } else { card(settings.model.as_deref())? };
-    let options =
-        RecognitionOptions { read_only: true, memory_bytes: usize::MAX, ..RecognitionOptions::default() };
-    let over = |folder: &Path| -> anyhow::Result<Recogniser> {
-        let map = PlaceMap::open_read_only(folder)?;
-        Ok(Recogniser::new(vocabularies.clone(), map, card.clone(), options.clone())?)
-    };
-    let both = [over(&arguments.a)?, over(&arguments.b)?];
-    let foreign = both.iter().map(Recogniser::foreign_descriptors).sum();
-    stream::report_foreign_descriptors(foreign, card.as_ref(), "");
-    Ok(both)
-}
-
-/// The card of the model `named`, or of the shipped one; where that is missing, geometry goes on without it.
-fn card(named: Option<&Path>) -> anyhow::Result<Option<ModelCard>> {
-    let Some(model) = named.map(Path::to_owned).or_else(|| assets::find_shipped(assets::MODEL)) else {
-        let model = assets::MODEL;
-        eprintln!(
-            "loci: NO CNN, going on with geometry alone: {model} not found here nor beside the program; name it \
-             with --model"
-        );
-        return Ok(None);
-    };
-    Ok(Some(ModelCard::read(&model.join(CARD_FILE))?))
 }
 
 /// Makes the joint map, whole or not at all; answers also what was left out of either since it is damaged.

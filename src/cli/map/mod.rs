@@ -1,7 +1,9 @@
 //! `loci map`: look after a map.
 
 mod compact;
+mod drift;
 mod export;
+mod eyes;
 mod info;
 mod merge;
 mod rename;
@@ -22,6 +24,8 @@ pub(super) enum MapCommand {
     Info(info::InfoArguments),
     /// Read every record to the last byte and list all that is wrong
     Verify(verify::VerifyArguments),
+    /// List the places whose latest looks do not hang together with their first ones
+    Drift(drift::DriftArguments),
     /// Write what a map holds as JSON, CSV or Parquet
     Export(export::ExportArguments),
     /// Name a place
@@ -37,6 +41,7 @@ pub(super) fn run(command: MapCommand) -> anyhow::Result<Outcome> {
     match command {
         MapCommand::Info(arguments) => info::run(&arguments),
         MapCommand::Verify(arguments) => verify::run(&arguments),
+        MapCommand::Drift(arguments) => drift::run(&arguments),
         MapCommand::Export(arguments) => export::run(&arguments),
         MapCommand::Rename(arguments) => rename::run(&arguments),
         MapCommand::Merge(arguments) => merge::run(&arguments),

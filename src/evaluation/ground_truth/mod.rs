@@ -173,6 +173,15 @@ impl GroundTruth {
         }
     }
 
+    /// Whether two reference frames are known to show different places; `None` where that is never said of them.
+    #[must_use]
+    pub fn are_apart(&self, a: usize, b: usize) -> Option<bool> {
+        match &self.rule {
+            Rule::Groups { reference, .. } => Some(reference.get(a)? != reference.get(b)?),
+            _ => self.are_one_place(a, b).map(|is_one| !is_one),
+        }
+    }
+
     /// What is said of a frame that was seen just before the query frame. Lists hold loop closures: a pair
     /// of neighbours that they lack may well show the same place.
     #[must_use]

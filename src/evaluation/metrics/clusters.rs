@@ -31,6 +31,27 @@ pub fn purity(
     Proportion::new(pure, related)
 }
 
+/// Share of the members of `clusters`, but for those that founded them, that are `apart` from every member before them:
+/// places that were merged though they are two.
+///
+/// Only members count of whom and of one before them the ground truth says whether they are. `None` where there are none.
+#[must_use]
+pub fn false_merges(
+    clusters: &[Vec<usize>],
+    apart: impl Fn(usize, usize) -> Option<bool>,
+) -> Option<Proportion> {
+    let (mut wrong, mut joined) = (0, 0);
+    for cluster in clusters {
+        for (position, &member) in cluster.iter().enumerate() {
+            let said = cluster[..position].iter().filter_map(|&before| apart(member, before));
+            let is_apart = said.reduce(|all, is_apart| all && is_apart);
+            joined += u64::from(is_apart.is_some());
+            wrong += u64::from(is_apart == Some(true));
+        }
+    }
+    Proportion::new(wrong, joined)
+}
+
 /// Labels each of `frames` frames with its true place, counted from 0 in order of first appearance; `None`
 /// where the ground truth knows nothing of it (`same_place(i, i)` is `None`).
 ///
@@ -60,6 +81,21 @@ mod tests {
     /// Frames on a road at whole metres; those at most 2 m apart show the same place.
     fn within_2_m(metres: &[Option<i32>]) -> impl Fn(usize, usize) -> Option<bool> + '_ {
         |a, b| Some((metres[a]? - metres[b]?).abs() <= 2)
+    }
+
+    #[test]
+    fn a_frame_is_merged_falsely_if_none_before_it_in_its_place_shows_what_it_shows() {
+        let metres = [Some(0), Some(1), Some(3), Some(40), Some(41), None];
+        let apart = |a, b| within_2_m(&metres)(a, b).map(|is_same| !is_same);
+        let of = |clusters: &[Vec<usize>]| counts(false_merges(clusters, apart));
+        assert_eq!(of(&[vec![0, 1, 2]]), (0, 2), "a place may reach farther than two frames see");
+        assert_eq!(of(&[vec![0, 3, 4, 1]]), (1, 3), "the first brought the other place in");
+        assert_eq!(
+            of(&[vec![0, 5], vec![3, 5, 4]]),
+            (0, 1),
+            "nothing is known of the frame without a position"
+        );
+        assert_eq!(false_merges(&[vec![0], vec![]], apart), None);
     }
 
     fn counts(proportion: Option<Proportion>) -> (u64, u64) {

@@ -12,7 +12,7 @@ mod ranking;
 mod score;
 
 pub use calibration::{Calibration, ReliabilityBin, expected_calibration_error};
-pub use clusters::{purity, true_places};
+pub use clusters::{false_merges, purity, true_places};
 pub use estimate::Estimate;
 pub use latency::quantile;
 pub use open_set::auroc;

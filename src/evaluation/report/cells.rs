@@ -94,7 +94,7 @@ const fn measure(
 }
 
 /// All of them, in the order of the definitions.
-pub(super) const MEASURES: [Measure; 15] = [
+pub(super) const MEASURES: [Measure; 16] = [
     measure("Recognition rate", &["recognition_rate"], |f| Cell::proportion(f.recognition_rate.as_ref())),
     measure("Precision", &["precision"], |f| Cell::proportion(f.precision.as_ref())),
     measure("Recall", &["recall"], |f| Cell::proportion(f.recall.as_ref())),
@@ -115,6 +115,7 @@ pub(super) const MEASURES: [Measure; 15] = [
         Cell::estimate(f.expected_calibration_error.as_ref())
     }),
     measure("Purity", &["purity"], |f| Cell::proportion(f.purity.as_ref())),
+    measure("False merges", &["false_merges"], |f| Cell::proportion(f.false_merges.as_ref())),
     measure("Places founded / true", &["places_founded", "true_places"], Cell::places),
 ];
 

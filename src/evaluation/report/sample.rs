@@ -203,6 +203,7 @@ fn figures(index: u64, skill: f64, founds_places: bool) -> Figures {
         auroc: Some(estimate(skill + 0.042, 4_774)),
         expected_calibration_error: Some(estimate(0.0123 * (index + 1) as f64, 4_774)),
         purity: founds_places.then(|| proportion(3_401, 3_584)),
+        false_merges: founds_places.then(|| proportion(12, 3_560)),
         places_founded: founds_places.then_some(1_127),
         true_places: founds_places.then_some(1_181),
     }

@@ -1,0 +1,114 @@
+//! `loci map drift`: lists the places whose latest looks do not hang together with their first ones any more.
+
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+
+use clap::Args;
+use loci::place_map::{ExperienceId, PlaceMap};
+use loci::recognition::Drift;
+use serde::Serialize;
+
+use super::eyes::Eyes;
+use super::report_losses;
+use crate::cli::console::{counted, say, spinner};
+use crate::cli::settings::StreamSettings;
+use crate::cli::{Outcome, stream};
+
+/// Experiences of a part that are named.
+const NAMED: usize = 5;
+
+/// Arguments of `loci map drift`.
+#[derive(Args)]
+#[command(after_help = "Examples:\n  loci map drift maps/site\n  loci map drift maps/site --json\n\n\
+    A place follows slow change, each match bringing a new look; by that it may also have been led astray. It is \
+    listed if its first keyframe and its last are not linked, not even through others. Two keyframes are linked if \
+    geometry verifies them, if the CNN is sure of them, or if they were learnt in one go. Nothing is changed. \
+    Experiences are named as in `loci map export`. The exit code is 0 also where places are listed, and 3 where \
+    something could not be read.")]
+pub(in crate::cli) struct DriftArguments {
+    /// Folder of the map
+    map: PathBuf,
+    /// Visual vocabulary; given again, a set that is switched by light [default: vocab/default.lvoc]
+    #[arg(long, value_name = "FILE")]
+    vocab: Vec<PathBuf>,
+    /// Folder of the CNN whose descriptors the map holds; only its card is read [default:
+    /// models/efficientnet-lite0]
+    #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]
+    model: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    /// Of the map, those that were merged into others left out.
+    places: usize,
+    drifted: Vec<DriftedPlace>,
+}
+
+#[derive(Serialize)]
+struct DriftedPlace {
+    place: u32,
+    name: Option<String>,
+    /// Keyframes by the numbers of their experiences, those together that are linked.
+    parts: Vec<Vec<u32>>,
+}
+
+/// Compares the keyframes of every place, and lists the places that drifted.
+pub(super) fn run(arguments: &DriftArguments) -> anyhow::Result<Outcome> {
+    let settings = StreamSettings {
+        vocab: arguments.vocab.clone(),
+        model: arguments.model.clone(),
+        ..StreamSettings::default()
+    }
+    .completed(None)?;
+    let stop = stream::stop_flag()?;
+    let [mut recogniser] = Eyes::new(&settings)?.open([&arguments.map])?;
+    let spinner = spinner("comparing the keyframes of every place");
+    let drifted = recogniser.drifted(&stop);
+    spinner.finish_and_clear();
+    anyhow::ensure!(!stop.load(Ordering::Relaxed), "interrupted: not all places were compared");
+    let drifted = drifted?;
+    let unreadable = recogniser.take_map_failure();
+    let map = recogniser.map();
+    let report = Report {
+        places: map.summary().places,
+        drifted: drifted.into_iter().map(|drift| DriftedPlace::new(map, drift)).collect(),
+    };
+    if arguments.json {
+        say(&serde_json::to_string(&report)?)?;
+    } else {
+        report.drifted.iter().try_for_each(|place| say(&place.sentence()))?;
+        say(&format!("{} of {} drifted", report.drifted.len(), counted(report.places, "place")))?;
+    }
+    let losses = report_losses(map, &arguments.map);
+    Ok(unreadable.map_or(losses, |unreadable| {
+        eprintln!("loci: {unreadable}");
+        Outcome::Lost
+    }))
+}
+
+impl DriftedPlace {
+    fn new(map: &PlaceMap, drift: Drift) -> Self {
+        let numbers = |part: Vec<ExperienceId>| part.into_iter().map(|id| id.0).collect();
+        let name = map.place(drift.place).and_then(|place| place.name.clone());
+        Self { place: drift.place.0, name, parts: drift.parts.into_iter().map(numbers).collect() }
+    }
+
+    fn sentence(&self) -> String {
+        let name = self.name.as_ref().map_or(String::new(), |name| format!(" ({name})"));
+        let parts: Vec<String> = self.parts.iter().map(|part| listed(part)).collect();
+        let parts = parts.join("; ");
+        format!("place {}{name} falls into {} parts: experiences {parts}", self.place, self.parts.len())
+    }
+}
+
+/// The first of so many numbers, and how many more there are.
+fn listed(numbers: &[u32]) -> String {
+    let named: Vec<String> = numbers.iter().take(NAMED).map(ToString::to_string).collect();
+    match numbers.len().saturating_sub(NAMED) {
+        0 => named.join(", "),
+        more => format!("{} and {more} more", named.join(", ")),
+    }
+}

@@ -1,0 +1,55 @@
+//! What recognises in maps that are compared, all of whose places are searched. The CNN itself is not needed: maps hold
+//! its descriptors.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use loci::cnn::{CARD_FILE, ModelCard};
+use loci::place_map::PlaceMap;
+use loci::recognition::{Recogniser, RecognitionOptions};
+use loci::vocabulary::VocabularySet;
+
+use crate::cli::settings::StreamSettings;
+use crate::cli::{assets, stream};
+
+/// The vocabularies and, unless geometry decides alone, the card of the CNN.
+pub(super) struct Eyes {
+    vocabularies: Arc<VocabularySet>,
+    card: Option<ModelCard>,
+}
+
+impl Eyes {
+    /// Those that `settings` name, or those that ship.
+    pub(super) fn new(settings: &StreamSettings) -> anyhow::Result<Self> {
+        let vocabularies = Arc::new(VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?);
+        let card = if settings.is_without_cnn() { None } else { card(settings.model.as_deref())? };
+        Ok(Self { vocabularies, card })
+    }
+
+    /// A recogniser in each of the maps in `folders`.
+    pub(super) fn open<const N: usize>(&self, folders: [&Path; N]) -> anyhow::Result<[Recogniser; N]> {
+        let options =
+            RecognitionOptions { read_only: true, memory_bytes: usize::MAX, ..RecognitionOptions::default() };
+        let over = |folder: &Path| -> anyhow::Result<Recogniser> {
+            let map = PlaceMap::open_read_only(folder)?;
+            Ok(Recogniser::new(self.vocabularies.clone(), map, self.card.clone(), options.clone())?)
+        };
+        let opened = folders.into_iter().map(over).collect::<anyhow::Result<Vec<_>>>()?;
+        let foreign = opened.iter().map(Recogniser::foreign_descriptors).sum();
+        stream::report_foreign_descriptors(foreign, self.card.as_ref(), "");
+        Ok(opened.try_into().unwrap_or_else(|_| unreachable!("a recogniser a folder")))
+    }
+}
+
+/// The card of the model `named`, or of the shipped one; where that is missing, geometry goes on without it.
+fn card(named: Option<&Path>) -> anyhow::Result<Option<ModelCard>> {
+    let Some(model) = named.map(Path::to_owned).or_else(|| assets::find_shipped(assets::MODEL)) else {
+        let model = assets::MODEL;
+        eprintln!(
+            "loci: NO CNN, going on with geometry alone: {model} not found here nor beside the program; name it \
+             with --model"
+        );
+        return Ok(None);
+    };
+    Ok(Some(ModelCard::read(&model.join(CARD_FILE))?))
+}

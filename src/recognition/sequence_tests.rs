@@ -1,0 +1,89 @@
+//! What comes of frames in a row: a robot that stands still, one that is carried away, and places that look alike.
+
+use super::world_for_tests::{Robot, appearance, card, in_memory, no_interval};
+use super::{Candidate, Decision, Evidence, Look, RecognitionOptions};
+use crate::place_map::{ExperienceId, PlaceId};
+use crate::verification::Verification;
+
+/// A robot that knows places 0 to 5, one after the other along a way, each by features and looks of its own.
+fn robot_on_its_way() -> Robot {
+    let mut robot = Robot::new(Some(card()), no_interval(), in_memory());
+    for place in 0..6 {
+        assert_eq!(robot.see(place, place as usize).decision, Decision::NewPlace);
+    }
+    robot
+}
+
+fn places(robot: &Robot) -> usize {
+    robot.recogniser.map().summary().places
+}
+
+#[test]
+fn a_robot_that_stands_still_stays_in_its_place_for_hours_and_learns_no_keyframe() {
+    let mut robot = robot_on_its_way();
+    robot.see(2, 2);
+    let before = robot.keyframes();
+    for _ in 0..500 {
+        let answer = robot.see(2, 2);
+        assert_eq!(answer.place, Some(PlaceId(2)));
+        assert!(answer.confidence > 0.99, "{}", answer.confidence);
+    }
+    assert_eq!((places(&robot), robot.keyframes()), (6, before));
+}
+
+#[test]
+fn a_robot_that_is_carried_to_a_place_it_knows_says_so_at_once_and_founds_nothing() {
+    let mut robot = robot_on_its_way();
+    (0..20).for_each(|_| drop(robot.see(0, 0)));
+    let answer = robot.see(4, 4);
+    assert_eq!((answer.decision, answer.place), (Decision::Recognised, Some(PlaceId(4))));
+    assert_eq!(robot.see(4, 4).place, Some(PlaceId(4)));
+    assert_eq!(places(&robot), 6);
+}
+
+#[test]
+fn a_robot_that_is_carried_where_no_map_is_says_unknown_once_and_founds_a_place() {
+    let mut robot = robot_on_its_way();
+    (0..20).for_each(|_| drop(robot.see(0, 0)));
+    assert_eq!(robot.see(40, 12).decision, Decision::Unknown);
+    assert_eq!(robot.see(40, 12).decision, Decision::NewPlace);
+    assert_eq!(places(&robot), 7);
+}
+
+#[test]
+fn a_robot_that_reads_only_and_is_carried_away_does_not_go_on_believing_where_it_was() {
+    let mut robot = robot_on_its_way();
+    (0..20).for_each(|_| drop(robot.see(0, 0)));
+    let options = RecognitionOptions { read_only: true, ..no_interval() };
+    let mut reader = Robot::new(Some(card()), options, robot.recogniser.into_map());
+    (0..20).for_each(|_| drop(reader.see(0, 0)));
+    for _ in 0..5 {
+        assert_eq!(reader.see(40, 12).decision, Decision::Unknown);
+    }
+    assert_eq!(reader.see(3, 3).place, Some(PlaceId(3)));
+}
+
+/// What is found in a frame of a place that looks like place 3 in a few features: so many agree.
+fn look_alike(robot: &mut Robot, inliers: u32) -> super::Recognition {
+    let of = |place, by, score, inliers| {
+        let (place, keyframe) = (PlaceId(place), ExperienceId(place));
+        Candidate { place, keyframe, by, score, votes: None, inliers, probability: 0.0, rejected: None }
+    };
+    let by_cnn = (0..6).map(|place| of(place, Evidence::Cnn, 0.6 - 0.01 * place as f32, None));
+    let found = by_cnn.chain([of(3, Evidence::BowHv, 0.1, Some(inliers))]).collect();
+    let look = Look { appearance: Some(appearance(12)), ..Look::default() };
+    let frame = robot.frame();
+    robot.recogniser.decide(&frame, &look, (found, vec![Verification::default()]), Vec::new)
+}
+
+#[test]
+fn places_that_share_a_few_features_stay_apart_even_where_the_robot_is_believed_in_the_other_one() {
+    let mut robot = robot_on_its_way();
+    (0..10).for_each(|_| drop(robot.see(3, 3)));
+    let before = robot.recogniser.map().place(PlaceId(3)).unwrap().experiences.len();
+    for _ in 0..2 {
+        look_alike(&mut robot, 6);
+    }
+    assert_eq!(robot.recogniser.map().place(PlaceId(3)).unwrap().experiences.len(), before, "none joined it");
+    assert_eq!(places(&robot), 7, "the second founded a place");
+}
