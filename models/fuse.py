@@ -36,6 +36,7 @@ LAP_FRAMES = 60
 TOLERANCE_FRAMES = 2
 NIGHT_SIDE_PX = 448
 RIVAL = 4
+BEYOND_DOUBT_INLIERS = 16
 RIDGE = 1e-2
 CARD = Path(__file__).parent / "efficientnet-lite0" / "card.toml"
 
@@ -153,7 +154,10 @@ def ahead(place, found, named, near):
     cosine, inliers = found[place]
     others = sorted((score for other, score in named.items() if other != place), reverse=True)
     cosine_margin = cosine - others[RIVAL - 1] if len(others) >= RIVAL else 0
-    rivals = [inliers for other, (_, inliers) in found.items() if other not in near]
+    def is_rival(other):
+        return other not in near and min(inliers, found[other][1]) < BEYOND_DOUBT_INLIERS
+
+    rivals = [found[other][1] for other in found if is_rival(other)]
     return cosine, cosine_margin, inliers, np.log1p(inliers) - np.log1p(max(rivals, default=0))
 
 

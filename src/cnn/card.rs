@@ -107,8 +107,10 @@ pub struct FusionCard {
     pub inliers: f32,
     /// Of there being inliers at all.
     pub any_inliers: f32,
-    /// Of what ln(1 + effective inliers) is more than that of the best place not next to it.
+    /// Of what ln(1 + effective inliers) is more than that of the best place neither next to it nor its twin.
     pub inlier_margin: f32,
+    /// Least log odds of a place whose cosine passes `recognise_above`, where geometry verifies no other one.
+    pub passed: f32,
     /// What the weights were fitted on, for people.
     pub data: String,
 }
@@ -123,14 +125,16 @@ impl Default for FusionCard {
             inliers: 1.391,
             any_inliers: -3.707,
             inlier_margin: 1.067,
+            passed: 4.6,
             data: "those of efficientnet-lite0, version 2".to_owned(),
         }
     }
 }
 
 impl FusionCard {
-    fn weights(&self) -> [f32; 6] {
-        [self.offset, self.cosine, self.cosine_margin, self.inliers, self.any_inliers, self.inlier_margin]
+    fn weights(&self) -> [f32; 7] {
+        let Self { offset, cosine, cosine_margin, inliers, any_inliers, inlier_margin, passed, .. } = *self;
+        [offset, cosine, cosine_margin, inliers, any_inliers, inlier_margin, passed]
     }
 }
 

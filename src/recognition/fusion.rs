@@ -15,10 +15,7 @@ use crate::place_map::{ExperienceId, PlaceId};
 /// being any, and of what that logarithm is more than that of the best other place.
 const GEOMETRY: [f32; 4] = [-0.637, 2.092, -4.847, 1.143];
 
-/// Log odds that a place is right whose cosine passes the card's threshold: ln 100. One in two hundred frames of other
-/// places passes it, and half of those of the place itself by day. By night there may be no geometry to ask.
-const PASSED: f32 = 4.6;
-/// Effective inliers of another place from which on it does not.
+/// Effective inliers of another place from which on a cosine that passes the card's threshold is not enough by itself.
 const VERIFIED: u32 = 8;
 /// Which of the other places that the CNN names, the most alike first, a place has to be ahead of.
 const RIVAL: usize = 4;
@@ -59,7 +56,7 @@ impl Clues {
             + weights.inlier_margin * inlier_margin;
         let is_verified_elsewhere = self.rival_inliers >= self.inliers.max(VERIFIED);
         let passes = cosine >= model.decision.recognise_above && !is_verified_elsewhere;
-        if passes { together.max(PASSED) } else { together }
+        if passes { together.max(weights.passed) } else { together }
     }
 
     /// The probability of that.

@@ -130,10 +130,7 @@ fn a_place_whose_last_look_nothing_links_to_the_first_is_listed_and_the_map_stay
     map.close().unwrap();
     drop(map);
     let before = files(&path);
-    assert_eq!(
-        drift(&[]),
-        "place 0 falls into 2 parts: experiences 0; 10\n1 of 2 places drifted\n"
-    );
+    assert_eq!(drift(&[]), "place 0 falls into 2 parts: experiences 0; 10\n1 of 2 places drifted\n");
     let report: Value = serde_json::from_str(&drift(&["--json"])).unwrap();
     assert_eq!(report["places"], 2);
     assert_eq!(report["drifted"], serde_json::json!([{ "place": 0, "name": null, "parts": [[0], [10]] }]));

@@ -148,7 +148,7 @@ pub(super) fn described(clusters: &Clusters) -> String {
     let largest = clusters.sizes.first().copied().unwrap_or_default();
     for from in (0..=largest).step_by(HISTOGRAM_STEP) {
         let within = from..from + HISTOGRAM_STEP;
-        let count = clusters.sizes.iter().filter(|size| within.contains(size)).count();
+        let count = clusters.sizes.iter().filter(|&&size| within.contains(&size)).count();
         text += &format!("{from:>6}–{:<4}{} {count}\n", within.end - 1, "▇".repeat(count.min(60)));
     }
     text.trim_end().to_owned()
