@@ -303,7 +303,7 @@ recall = "0.9 at 1"
     fn a_card_without_weights_has_those_of_the_shipped_one_and_impossible_ones_are_refused() {
         let shipped = ModelCard::read(Path::new("models/efficientnet-lite0/card.toml")).unwrap();
         assert_eq!(shipped.fusion.weights(), read(CARD.as_bytes()).unwrap().fusion.weights());
-        let keys = ["offset", "cosine", "cosine_margin", "inliers", "any_inliers", "inlier_margin"];
+        let keys = ["offset", "cosine", "cosine_margin", "inliers", "any_inliers", "inlier_margin", "passed"];
         let weights: String = keys.iter().map(|key| format!("{key} = 1e9\n")).collect();
         let table = format!("[fusion]\n{weights}data = ''\n");
         let error = read(format!("{CARD}\n{table}").as_bytes()).unwrap_err();

@@ -105,7 +105,7 @@ mod tests {
     use super::*;
     use crate::place_map::{Appearance, NewExperience, PlaceMap, Traits};
 
-    const GO_ON: AtomicBool = AtomicBool::new(false);
+    static GO_ON: AtomicBool = AtomicBool::new(false);
 
     /// A place whose keyframes show the features of one place and the looks of another each.
     fn place_of(map: &mut PlaceMap, keyframes: &[(u64, usize)]) -> PlaceId {
