@@ -150,12 +150,14 @@ def evidence(program, mapped, looked_at, is_same, folder):
 
 
 def ahead(place, found, named, near):
-    """Cosine and inliers of a place, each with what it is ahead of others, as src/recognition/fusion.rs has it."""
+    """Cosine and inliers of a place, each with what it is ahead of others, as src/recognition/fusion.rs has it; that a threshold is passed counts for nothing."""
     cosine, inliers = found[place]
     others = sorted((score for other, score in named.items() if other != place), reverse=True)
     cosine_margin = cosine - others[RIVAL - 1] if len(others) >= RIVAL else 0
+
     def is_rival(other):
-        return other not in near and min(inliers, found[other][1]) < BEYOND_DOUBT_INLIERS
+        fewer, more = sorted((inliers, found[other][1]))
+        return other not in near and not (fewer >= BEYOND_DOUBT_INLIERS and more < 2 * fewer)
 
     rivals = [found[other][1] for other in found if is_rival(other)]
     return cosine, cosine_margin, inliers, np.log1p(inliers) - np.log1p(max(rivals, default=0))

@@ -62,8 +62,9 @@ pub const DEFINITIONS: [(&str, &str); 17] = [
     ),
     (
         "false_merges",
-        "experiences of the reference that truly show another place than all before them in the place they joined / \
-         experiences that joined a place; not known where the ground truth lists pairs",
+        "experiences of the reference that are known to show another place than all before them in the place they \
+         joined / experiences that joined a place and are placed by the ground truth; what follows the first of them \
+         counts as right, so purity says how much is mixed",
     ),
     ("places_founded", "places that Loci founded on the reference"),
     (

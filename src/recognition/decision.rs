@@ -33,12 +33,12 @@ impl Recogniser {
         self.belief = expected.seeing(&log_odds);
         let grounds = self.grounds(&clues, &log_odds, &expected);
         let Thresholds { probability: needed, log_odds: least, .. } = grounds.thresholds;
-        let twins = grounds.twins(self.beyond_doubt());
         for candidate in candidates.iter_mut() {
             candidate.probability = self.belief.of(candidate.place);
-            let got = grounds.around(candidate.place) + twins.beside(candidate.place);
+            let around = grounds.around(candidate.place);
+            let got = around + grounds.of(candidate.place).map_or(0.0, |grounds| grounds.twins);
             let said = log_odds.get(&candidate.place).copied();
-            let why = if got == 0.0 && candidate.probability > 0.0 {
+            let why = if around == 0.0 && candidate.probability > 0.0 {
                 Some(Rejection::NextIsLikelier)
             } else if got < needed {
                 Some(Rejection::Unlikely { got, needed })
@@ -94,6 +94,7 @@ impl Recogniser {
             before: expected.share(place),
             after: self.belief.of(place),
             around: self.belief.around(place, &self.map, may_be),
+            twins: self.likeliness_of_twins(place, clues),
             may_be: may_be(place),
         };
         let places: BTreeSet<PlaceId> = log_odds.keys().copied().chain(expected.places()).collect();
@@ -101,6 +102,18 @@ impl Recogniser {
         places.sort_by(|a, b| b.after.total_cmp(&a.after));
         let elsewhere = [expected.of_elsewhere(), self.belief.of_elsewhere()];
         Grounds { places, elsewhere, thresholds }
+    }
+
+    /// Probability of the twins of a place, if it has any.
+    fn likeliness_of_twins(&self, place: PlaceId, clues: &BTreeMap<PlaceId, Clues>) -> f32 {
+        let Some(here) = clues.get(&place) else { return 0.0 };
+        let are_next = |other| belief::neighbours(&self.map, place).contains(&other);
+        let is_twin = |(other, there): &(&PlaceId, &Clues)| {
+            **other != place
+                && fusion::are_twins([here.inliers, there.inliers], self.beyond_doubt())
+                && !are_next(**other)
+        };
+        clues.iter().filter(is_twin).map(|(&other, _)| self.belief.of(other)).sum()
     }
 
     /// The candidate that speaks most for the likeliest place that nothing speaks against: the CNN where it is sure,

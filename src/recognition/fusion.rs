@@ -18,7 +18,7 @@ const GEOMETRY: [f32; 4] = [-0.637, 2.092, -4.847, 1.143];
 /// Effective inliers of another place from which on a cosine that passes the card's threshold is not enough by itself.
 const VERIFIED: u32 = 8;
 /// Which of the other places that the CNN names, the most alike first, a place has to be ahead of.
-const RIVAL: usize = 4;
+pub(super) const RIVAL: usize = 4;
 
 /// What was found of one place in a frame, and of others.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -30,8 +30,7 @@ pub struct Clues {
     pub rival_cosine: Option<f32>,
     /// Effective inliers; 0 where geometry found nothing.
     pub inliers: u32,
-    /// The most effective inliers of a place that is neither next to it nor its twin: two that are both verified
-    /// beyond doubt are one place that was founded twice, or the belief has to tell them apart.
+    /// The most effective inliers of a place that is neither next to it nor its [twin](are_twins).
     pub rival_inliers: u32,
 }
 
@@ -101,14 +100,21 @@ pub(super) fn clues(
         // They come best first, one a place.
         let mut others = by_cnn().filter(|candidate| candidate.place != place);
         clues.rival_cosine = others.nth(RIVAL - 1).map(|candidate| candidate.score);
-        let are_twins = |other: u32| clues.inliers.min(other) >= beyond_doubt;
         let is_rival = |&&(other, found): &&(PlaceId, u32)| {
-            other != place && !are_twins(found) && !are_next(place, other)
+            other != place && !are_twins([clues.inliers, found], beyond_doubt) && !are_next(place, other)
         };
         clues.rival_inliers =
             inliers.iter().filter(is_rival).map(|&(_, found)| found).max().unwrap_or_default();
     }
     clues
+}
+
+/// Whether a frame shows two places with so many inliers beyond doubt, and neither much better. It may be one place that
+/// was founded twice, and two that look alike are told apart by how the robot came there: if either spoke against the
+/// other, a third would be founded.
+pub(super) fn are_twins(inliers: [u32; 2], beyond_doubt: u32) -> bool {
+    let (fewer, more) = (inliers[0].min(inliers[1]), inliers[0].max(inliers[1]));
+    fewer >= beyond_doubt && more < 2 * fewer
 }
 
 #[cfg(test)]
@@ -194,6 +200,21 @@ mod tests {
         };
         assert_eq!((rival(&named, 0), rival(&named, 5)), (Some(named[4].score), Some(named[3].score)));
         assert_eq!(rival(&named[..4], 0), None, "too few to tell");
+    }
+
+    #[test]
+    fn of_two_places_that_are_verified_beyond_doubt_neither_speaks_against_the_other_unless_it_is_far_ahead()
+    {
+        let rivals = |here: u32, there: u32| {
+            let found =
+                [(1, here), (2, there)].map(|(place, n)| candidate(place, Evidence::BowHv, 0.1, Some(n)));
+            let clues = clues(&found, None, |_| false, |_, _| false, 16);
+            [1, 2].map(|place| clues[&PlaceId(place)].rival_inliers)
+        };
+        assert_eq!(rivals(20, 20), [0, 0]);
+        assert_eq!(rivals(20, 39), [0, 0]);
+        assert_eq!(rivals(20, 40), [40, 20], "far ahead");
+        assert_eq!(rivals(20, 15), [15, 20], "not beyond doubt");
     }
 
     proptest! {

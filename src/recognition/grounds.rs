@@ -19,6 +19,9 @@ pub struct PlaceGrounds {
     /// The same with the places next to it: what has to pass the threshold; 0 if one of these is likelier and may be
     /// it.
     pub around: f32,
+    /// Probability of its twins, which geometry verifies beyond doubt as it does this place. It counts where the place is
+    /// accepted, and not for how sure that is: they may be others that look alike.
+    pub twins: f32,
     /// Whether the frame itself says enough for it.
     pub may_be: bool,
 }
@@ -47,21 +50,6 @@ pub struct Grounds {
     pub thresholds: Thresholds,
 }
 
-/// Places that one frame shows beyond doubt: one place that was founded twice.
-pub(super) struct Twins(Vec<(PlaceId, f32)>);
-
-impl Twins {
-    /// Probability of the others, if the place is one of them. It counts where a place is accepted, and not for how
-    /// sure that is: they may be two that look alike.
-    pub(super) fn beside(&self, place: PlaceId) -> f32 {
-        let Self(twins) = self;
-        if !twins.iter().any(|&(twin, _)| twin == place) {
-            return 0.0;
-        }
-        twins.iter().filter(|&&(twin, _)| twin != place).map(|&(_, likely)| likely).sum()
-    }
-}
-
 impl Grounds {
     /// What was thought of a place.
     #[must_use]
@@ -82,11 +70,5 @@ impl Grounds {
     /// Whether the frame itself shows the place, being likelier by it than `log_odds`.
     pub(super) fn shows(&self, place: PlaceId, log_odds: f32) -> bool {
         self.of(place).and_then(|grounds| grounds.log_odds).is_some_and(|said| said >= log_odds)
-    }
-
-    /// The places that geometry verifies with so many effective inliers.
-    pub(super) fn twins(&self, inliers: u32) -> Twins {
-        let is_strong = |grounds: &&PlaceGrounds| grounds.clues.is_some_and(|clues| clues.inliers >= inliers);
-        Twins(self.places.iter().filter(is_strong).map(|grounds| (grounds.place, grounds.after)).collect())
     }
 }

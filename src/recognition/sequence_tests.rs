@@ -1,7 +1,7 @@
 //! What comes of frames in a row: a robot that stands still, one that is carried away, and places that look alike.
 
 use super::world_for_tests::{Robot, appearance, card, in_memory, no_interval};
-use super::{Candidate, Decision, Evidence, Look, RecognitionOptions};
+use super::{Candidate, Decision, Evidence, Look, Recognition, RecognitionOptions, Rejection};
 use crate::place_map::{ExperienceId, PlaceId};
 use crate::verification::Verification;
 
@@ -19,7 +19,7 @@ fn places(robot: &Robot) -> usize {
 }
 
 #[test]
-fn a_robot_that_stands_still_stays_in_its_place_for_hours_and_learns_no_keyframe() {
+fn a_robot_that_stands_still_stays_in_its_place_and_learns_no_keyframe() {
     let mut robot = robot_on_its_way();
     robot.see(2, 2);
     let before = robot.keyframes();
@@ -63,27 +63,53 @@ fn a_robot_that_reads_only_and_is_carried_away_does_not_go_on_believing_where_it
     assert_eq!(reader.see(3, 3).place, Some(PlaceId(3)));
 }
 
-/// What is found in a frame of a place that looks like place 3 in a few features: so many agree.
-fn look_alike(robot: &mut Robot, inliers: u32) -> super::Recognition {
+/// What is decided of a frame of which the CNN knows nothing, and geometry finds so many inliers of places.
+fn seen(robot: &mut Robot, found: &[(u32, u32)]) -> Recognition {
     let of = |place, by, score, inliers| {
         let (place, keyframe) = (PlaceId(place), ExperienceId(place));
         Candidate { place, keyframe, by, score, votes: None, inliers, probability: 0.0, rejected: None }
     };
     let by_cnn = (0..6).map(|place| of(place, Evidence::Cnn, 0.6 - 0.01 * place as f32, None));
-    let found = by_cnn.chain([of(3, Evidence::BowHv, 0.1, Some(inliers))]).collect();
+    let by_words = found.iter().map(|&(place, inliers)| of(place, Evidence::BowHv, 0.1, Some(inliers)));
     let look = Look { appearance: Some(appearance(12)), ..Look::default() };
     let frame = robot.frame();
-    robot.recogniser.decide(&frame, &look, (found, vec![Verification::default()]), Vec::new)
+    let geometry = vec![Verification::default(); found.len()];
+    robot.recogniser.decide(&frame, &look, (by_cnn.chain(by_words).collect(), geometry), Vec::new)
+}
+
+fn experiences(robot: &Robot, place: u32) -> usize {
+    robot.recogniser.map().place(PlaceId(place)).unwrap().experiences.len()
 }
 
 #[test]
 fn places_that_share_a_few_features_stay_apart_even_where_the_robot_is_believed_in_the_other_one() {
     let mut robot = robot_on_its_way();
     (0..10).for_each(|_| drop(robot.see(3, 3)));
-    let before = robot.recogniser.map().place(PlaceId(3)).unwrap().experiences.len();
-    for _ in 0..2 {
-        look_alike(&mut robot, 6);
+    let before = experiences(&robot, 3);
+    seen(&mut robot, &[(3, 6)]);
+    let second = seen(&mut robot, &[(3, 6)]);
+    assert_eq!((second.decision, places(&robot)), (Decision::NewPlace, 7));
+    assert_eq!(experiences(&robot, 3), before, "none joined it");
+}
+
+#[test]
+fn a_frame_that_shows_two_places_that_look_alike_is_of_the_one_where_the_robot_is() {
+    for (here, there) in [(1, 5), (5, 1)] {
+        let mut robot = robot_on_its_way();
+        (0..10).for_each(|_| drop(robot.see(u64::from(here), here as usize)));
+        let answer = seen(&mut robot, &[(there, 24), (here, 22)]);
+        assert_eq!((answer.decision, answer.place), (Decision::Revisited, Some(PlaceId(here))));
+        assert_eq!(places(&robot), 6, "and founds no third");
     }
-    assert_eq!(robot.recogniser.map().place(PlaceId(3)).unwrap().experiences.len(), before, "none joined it");
-    assert_eq!(places(&robot), 7, "the second founded a place");
+}
+
+#[test]
+fn a_place_next_to_a_likelier_one_is_not_accepted_because_geometry_verifies_both() {
+    let mut robot = robot_on_its_way();
+    (0..10).for_each(|_| drop(robot.see(2, 2)));
+    let answer = seen(&mut robot, &[(3, 24), (2, 30)]);
+    assert_eq!(answer.place, Some(PlaceId(2)));
+    let next = answer.candidates.iter().find(|c| c.place == PlaceId(3) && c.by == Evidence::BowHv).unwrap();
+    assert_eq!(next.rejected, Some(Rejection::NextIsLikelier));
+    assert_eq!(answer.grounds.of(PlaceId(3)).unwrap().twins, 0.0);
 }

@@ -1,10 +1,9 @@
 //! `loci map drift`: lists the places whose latest looks do not hang together with their first ones any more.
 
 use std::path::PathBuf;
-use std::sync::atomic::Ordering;
 
 use clap::Args;
-use loci::place_map::{ExperienceId, PlaceMap};
+use loci::place_map::{ExperienceId, MapError, PlaceMap};
 use loci::recognition::Drift;
 use serde::Serialize;
 
@@ -22,16 +21,17 @@ const NAMED: usize = 5;
 #[command(after_help = "Examples:\n  loci map drift maps/site\n  loci map drift maps/site --json\n\n\
     A place follows slow change, each match bringing a new look; by that it may also have been led astray. It is \
     listed if its first keyframe and its last are not linked, not even through others. Two keyframes are linked if \
-    geometry verifies them, if the CNN is sure of them, or if they were learnt in one go. Nothing is changed. \
-    Experiences are named as in `loci map export`. The exit code is 0 also where places are listed, and 3 where \
-    something could not be read.")]
+    a frame like the one would join a place with the other alone, or if they were learnt in one go, within five \
+    frames. A listed place need not be wrong: look at its experiences, numbered as in `loci map export --thumbnails`. \
+    Nothing is changed. Keyframes that cannot be read are left out. The exit code is 0 also where places are listed, \
+    and 3 where something could not be read.")]
 pub(in crate::cli) struct DriftArguments {
     /// Folder of the map
     map: PathBuf,
     /// Visual vocabulary; given again, a set that is switched by light [default: vocab/default.lvoc]
     #[arg(long, value_name = "FILE")]
     vocab: Vec<PathBuf>,
-    /// Folder of the CNN whose descriptors the map holds; only its card is read [default:
+    /// Folder of the CNN whose descriptors the map holds, of which only the card is read, or none [default:
     /// models/efficientnet-lite0]
     #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]
     model: Option<PathBuf>,
@@ -64,12 +64,16 @@ pub(super) fn run(arguments: &DriftArguments) -> anyhow::Result<Outcome> {
     }
     .completed(None)?;
     let stop = stream::stop_flag()?;
-    let [mut recogniser] = Eyes::new(&settings)?.open([&arguments.map])?;
+    let eyes = Eyes::new(&settings)?;
+    let mut recogniser = eyes.open(&arguments.map)?;
+    eyes.report_foreign(&[&recogniser]);
     let spinner = spinner("comparing the keyframes of every place");
     let drifted = recogniser.drifted(&stop);
     spinner.finish_and_clear();
-    anyhow::ensure!(!stop.load(Ordering::Relaxed), "interrupted: not all places were compared");
-    let drifted = drifted?;
+    let drifted = match drifted {
+        Err(MapError::Interrupted) => anyhow::bail!("interrupted: not all places were compared"),
+        drifted => drifted?,
+    };
     let unreadable = recogniser.take_map_failure();
     let map = recogniser.map();
     let report = Report {

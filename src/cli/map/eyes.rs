@@ -26,18 +26,18 @@ impl Eyes {
         Ok(Self { vocabularies, card })
     }
 
-    /// A recogniser in each of the maps in `folders`.
-    pub(super) fn open<const N: usize>(&self, folders: [&Path; N]) -> anyhow::Result<[Recogniser; N]> {
+    /// What recognises in the map in `folder`.
+    pub(super) fn open(&self, folder: &Path) -> anyhow::Result<Recogniser> {
         let options =
             RecognitionOptions { read_only: true, memory_bytes: usize::MAX, ..RecognitionOptions::default() };
-        let over = |folder: &Path| -> anyhow::Result<Recogniser> {
-            let map = PlaceMap::open_read_only(folder)?;
-            Ok(Recogniser::new(self.vocabularies.clone(), map, self.card.clone(), options.clone())?)
-        };
-        let opened = folders.into_iter().map(over).collect::<anyhow::Result<Vec<_>>>()?;
-        let foreign = opened.iter().map(Recogniser::foreign_descriptors).sum();
+        let map = PlaceMap::open_read_only(folder)?;
+        Ok(Recogniser::new(self.vocabularies.clone(), map, self.card.clone(), options)?)
+    }
+
+    /// Says how many keyframes have descriptors of another CNN, which count for nothing.
+    pub(super) fn report_foreign(&self, opened: &[&Recogniser]) {
+        let foreign = opened.iter().map(|recogniser| recogniser.foreign_descriptors()).sum();
         stream::report_foreign_descriptors(foreign, self.card.as_ref(), "");
-        Ok(opened.try_into().unwrap_or_else(|_| unreachable!("a recogniser a folder")))
     }
 }
 

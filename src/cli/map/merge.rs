@@ -113,7 +113,9 @@ pub(super) fn run(arguments: &MergeArguments) -> anyhow::Result<Outcome> {
     let options = MapOptions { durability: Durability::None, ..stream::map_options(&settings)? };
     check_folders(arguments)?;
     let stop = stream::stop_flag()?;
-    let [mut a, mut b] = Eyes::new(&settings)?.open([&arguments.a, &arguments.b])?;
+    let eyes = Eyes::new(&settings)?;
+    let (mut a, mut b) = (eyes.open(&arguments.a)?, eyes.open(&arguments.b)?);
+    eyes.report_foreign(&[&a, &b]);
     go_on(&stop)?;
     let spinner = spinner("recognising the keyframes of each in the other");
     let joins = a.joins(&mut b, &stop);

@@ -173,7 +173,8 @@ impl GroundTruth {
         }
     }
 
-    /// Whether two reference frames are known to show different places; `None` where that is never said of them.
+    /// Whether two reference frames are known to show different places; of frames of one group that is not known.
+    /// `None` where nothing is ever said of either.
     #[must_use]
     pub fn are_apart(&self, a: usize, b: usize) -> Option<bool> {
         match &self.rule {
@@ -242,6 +243,21 @@ mod tests {
         assert_eq!(truth.relation(0, 0), Relation::Same);
         assert_eq!([truth.relation(0, 1), truth.relation(1, 0), truth.relation(0, 2)], [Relation::Unsaid; 3]);
         assert_eq!([0, 1, 2].map(|query| truth.is_scored(query)), [true, false, false]);
+    }
+
+    #[test]
+    fn reference_frames_are_known_to_be_apart_by_their_spots_or_groups_and_never_by_lists() {
+        let truth = |rule| GroundTruth { definition: String::new(), sha256: None, rule };
+        let spots = vec![Spot::Ordinal(1), Spot::Ordinal(9), Spot::Unscored];
+        let by_spots = truth(Rule::Spots { query: Vec::new(), reference: spots, tolerance: EXACT });
+        assert_eq!(
+            [0, 1, 2, 3].map(|other| by_spots.are_apart(0, other)),
+            [Some(false), Some(true), None, None]
+        );
+        let by_groups = truth(Rule::Groups { query: Vec::new(), reference: vec![4, 4, 7] });
+        assert_eq!([1, 2, 3].map(|other| by_groups.are_apart(0, other)), [Some(false), Some(true), None]);
+        let by_lists = truth(Rule::Pairs { matches: vec![Some(vec![0])], unsaid: Vec::new() });
+        assert_eq!(by_lists.are_apart(0, 1), None);
     }
 
     #[test]
