@@ -16,7 +16,8 @@ use crate::place_map::{ExperienceId, MapError, PlaceId};
 use crate::verification::{MatchingView, verify};
 use crate::vocabulary::ConditionId;
 
-/// A place of which the first keyframe and the last are not linked, not even through others.
+/// A place of which the first keyframe and the last are not linked, not even through others, or several are not linked
+/// to several others.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Drift {
     /// The place.
@@ -47,9 +48,7 @@ impl Recogniser {
         let living = self.map.places().filter(|place| place.merged_into.is_none());
         for place in living.map(|place| place.id).collect::<Vec<_>>() {
             let parts = self.parts(place, stop)?;
-            let last = parts.iter().flatten().max();
-            // The first keyframe is in the first part.
-            if parts.first().is_some_and(|part| part.last() != last) {
+            if has_drifted(&parts) {
                 drifted.push(Drift { place, parts });
             }
         }
@@ -140,6 +139,15 @@ impl Recogniser {
     }
 }
 
+/// Whether the first keyframe and the last are not linked, or several are not linked to several others: two places that
+/// are visited in turn. A single look in between, linked to none, is no drift.
+fn has_drifted(parts: &[Vec<ExperienceId>]) -> bool {
+    let last = parts.iter().flatten().max();
+    // The first keyframe is in the first part.
+    let ends_elsewhere = parts.first().is_some_and(|part| part.last() != last);
+    ends_elsewhere || parts.iter().filter(|part| part.len() > 1).count() > 1
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::RecognitionOptions;
@@ -196,6 +204,13 @@ mod tests {
         let found = drifted(map, no_interval());
         assert_eq!((found.len(), found[0].place), (1, place));
         assert_eq!(parts(&found[0]), [[2, 4], [3, 5]]);
+    }
+
+    #[test]
+    fn a_place_that_is_two_visited_in_turn_has_drifted_though_it_ends_where_it_began() {
+        let mut map = in_memory();
+        place_of(&mut map, &[(1, 1), (2, 2), (2, 2), (1, 1)]);
+        assert_eq!(parts(&drifted(map, no_interval())[0]), [[0, 3], [1, 2]]);
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
+use loci::place_map::{MapOptions, PlaceId, PlaceMap};
 use serde_json::Value;
 
 use crate::program::{loci, real_data, text};
@@ -115,6 +116,34 @@ fn real_robot_drives_run_through() {
         println!("{drive}: {tally:?} precision {:.3} recall {:.3}", tally.precision(), tally.recall());
         assert!(tally.frames > 50 && tally.named > 0, "{tally:?}");
     }
+}
+
+/// Half of the places are merged with the other half, each with one from half a map away.
+#[test]
+#[ignore = "needs the real sequences"]
+fn real_places_that_were_merged_by_mistake_have_drifted_and_those_of_the_robot_have_not() {
+    let (folder, map) = (real_data().join("robot_laps/2023-12-06_car1"), tempfile::tempdir().unwrap());
+    let run = loci(&["run", text(&folder), "--map", text(map.path()), "--json"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let drifted = || {
+        let drift = loci(&["map", "drift", text(map.path()), "--json"]);
+        assert_eq!(drift.code, 0, "{}", drift.stderr);
+        let report: Value = serde_json::from_str(&drift.stdout).unwrap();
+        report["drifted"].as_array().unwrap().len()
+    };
+    let before = drifted();
+    let mut known = PlaceMap::open(map.path(), MapOptions::default()).unwrap();
+    let living: Vec<PlaceId> =
+        known.places().filter(|place| place.merged_into.is_none()).map(|place| place.id).collect();
+    let (kept, merged) = living.split_at(living.len() / 2);
+    merged.iter().zip(kept).for_each(|(&from, &into)| known.merge_places(from, into).unwrap());
+    known.close().unwrap();
+    drop(known);
+    let after = drifted();
+    println!("drifted: {before} of {} before, {after} of {} merged ones", living.len(), kept.len());
+    assert_eq!(before, 0);
+    // Some were founded twice by the robot itself, which does not drift.
+    assert!(4 * after >= 3 * kept.len(), "{after} of {}", kept.len());
 }
 
 /// Scores the reliable frames after the first lap that has any.

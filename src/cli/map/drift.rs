@@ -20,7 +20,8 @@ const NAMED: usize = 5;
 #[derive(Args)]
 #[command(after_help = "Examples:\n  loci map drift maps/site\n  loci map drift maps/site --json\n\n\
     A place follows slow change, each match bringing a new look; by that it may also have been led astray. It is \
-    listed if its first keyframe and its last are not linked, not even through others. Two keyframes are linked if \
+    listed if its first keyframe and its last are not linked, not even through others, or several not to several \
+    others. Two keyframes are linked if \
     a frame like the one would join a place with the other alone, or if they were learnt in one go, within five \
     frames. A listed place need not be wrong: look at its experiences, numbered as in `loci map export --thumbnails`. \
     Nothing is changed. Keyframes that cannot be read are left out. The exit code is 0 also where places are listed, \
