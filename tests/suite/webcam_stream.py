@@ -1,10 +1,11 @@
 """What a robot that stands still makes of the change from day to night: nine webcams, one after the other, in time order.
 
-    python3 tests/suite/webcam_stream.py target/release/loci
+    python3 tests/suite/webcam_stream.py target/release/loci [--interleaved]
 
 The program gets all frames as one stream, no labels and an empty map, in its default configuration. A place is the camera's
 that most of what it learnt came from. Night is the darkest 30 % of each camera; its frames before which the camera was not
 seen yet are left out, for there is nothing to join. LOCI_DATA names the folder of the sequences.
+With --interleaved all frames come in the order of their times, almost every one from another camera than the one before.
 """
 
 import argparse
@@ -19,18 +20,18 @@ from pathlib import Path
 NIGHT = 0.3
 
 
-def rows(data):
+def rows(data, is_interleaved):
     with open(data / "ground_truth.csv") as table:
-        return sorted(csv.DictReader(table), key=lambda row: (row["place"], row["captured_at_utc"]))
+        return sorted(csv.DictReader(table), key=lambda row: (not is_interleaved and row["place"], row["captured_at_utc"]))
 
 
-def stream(program, frames, folder):
+def stream(program, options, frames, folder):
     """A record of every frame."""
     pictures = folder / "frames"
     pictures.mkdir()
     for index, frame in enumerate(frames):
         (pictures / f"{index:05d}.jpg").symlink_to(frame.resolve())
-    command = [program, "run", pictures, "--map", folder / "map", "--json"]
+    command = [program, "run", pictures, "--map", folder / "map", "--json", *options]
     answer = subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     return [json.loads(line) for line in answer.stdout.splitlines()]
 
@@ -47,11 +48,16 @@ def nights(table):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("program", type=Path, help="the program loci")
-    program = parser.parse_args().program.resolve()
+    parser.add_argument("--interleaved", action="store_true", help="all cameras at once, by the clock")
+    parser.add_argument("--place-interval", help="that of the program, instead of its default")
+    arguments = parser.parse_args()
+    program, options = arguments.program.resolve(), []
+    if arguments.place_interval:
+        options = ["--place-interval", arguments.place_interval]
     data = Path(os.environ.get("LOCI_DATA", "../shared/data")) / "webcams_day_night"
-    table = rows(data)
+    table = rows(data, arguments.interleaved)
     with tempfile.TemporaryDirectory() as name:
-        records = stream(program, [data / row["file"] for row in table], Path(name))
+        records = stream(program, options, [data / row["file"] for row in table], Path(name))
     learnt = defaultdict(Counter)
     for record, row in zip(records, table, strict=True):
         if record["experience"] is not None:
