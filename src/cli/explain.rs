@@ -62,7 +62,8 @@ fn explanation(record: &FrameRecord) -> String {
     let _ = writeln!(text, ", probability {:.3}\n", recognition.confidence);
     text += "candidate  by      score   votes  inliers  probability\n";
     recognition.candidates.iter().for_each(|candidate| text += &candidate_row(candidate));
-    text += "\n           cosine here     fourth   inliers here      other   log odds   before    after  with next  and twins\n";
+    text += "\n           cosine here     fourth   inliers here      other   log odds   before    after  with next  \
+             and twins\n";
     places
         .iter()
         .filter(|place| place.clues.is_some() || place.before.max(place.after) >= WORTH_SHOWING)
@@ -110,9 +111,9 @@ fn needed(thresholds: &Thresholds) -> String {
         .cnn_alone
         .map_or(String::new(), |cosine| format!("; the CNN alone is sure from a cosine of {cosine:.3} on"));
     format!(
-        "needed: probability {:.3} with the places next to it, of which none may be likelier, and with its twins, which \
-         geometry verifies beyond doubt as well and which are no rivals; log odds {:+.2} from the frame itself{alone}; \
-         geometry verifies from {} inliers on\n\n",
+        "needed: probability {:.3} with the places next to it, of which none may be likelier, and with its twins, \
+         which geometry verifies beyond doubt as well and which are no rivals; log odds {:+.2} from the frame \
+         itself{alone}; geometry verifies from {} inliers on\n\n",
         thresholds.probability, thresholds.log_odds, thresholds.inliers,
     )
 }

@@ -116,8 +116,8 @@ pub struct FusionCard {
     pub data: String,
 }
 
-/// ln 100: one in two hundred frames of other places passes the threshold, and half of those of the place itself by day.
-/// By night there may be no geometry to ask.
+/// ln 100: one in two hundred frames of other places passes the threshold, and half of those of the place itself by
+/// day. By night there may be no geometry to ask.
 fn passed() -> f32 {
     4.6
 }
@@ -127,12 +127,12 @@ impl Default for FusionCard {
     /// they hold for other networks, too, of which as few pass it.
     fn default() -> Self {
         Self {
-            offset: -1.337,
-            cosine: 0.272,
-            cosine_margin: 0.314,
-            inliers: 1.391,
-            any_inliers: -3.707,
-            inlier_margin: 1.067,
+            offset: -1.325,
+            cosine: 0.263,
+            cosine_margin: 0.317,
+            inliers: 1.327,
+            any_inliers: -3.58,
+            inlier_margin: 1.091,
             passed: passed(),
             data: "those of efficientnet-lite0, version 2".to_owned(),
         }

@@ -13,7 +13,7 @@ use crate::place_map::{ExperienceId, PlaceId};
 
 /// Log odds that a place is right where no CNN takes part: offset, and weights of ln(1 + effective inliers), of there
 /// being any, and of what that logarithm is more than that of the best other place.
-const GEOMETRY: [f32; 4] = [-0.637, 2.092, -4.847, 1.143];
+const GEOMETRY: [f32; 4] = [-0.639, 2.046, -4.74, 1.157];
 
 /// Effective inliers of another place from which on a cosine that passes the card's threshold is not enough by itself.
 const VERIFIED: u32 = 8;
@@ -109,9 +109,9 @@ pub(super) fn clues(
     clues
 }
 
-/// Whether a frame shows two places with so many inliers beyond doubt, and neither much better. It may be one place that
-/// was founded twice, and two that look alike are told apart by how the robot came there: if either spoke against the
-/// other, a third would be founded.
+/// Whether a frame shows two places with so many inliers beyond doubt, and neither much better. It may be one place
+/// that was founded twice, and two that look alike are told apart by how the robot came there: if either spoke against
+/// the other, a third would be founded.
 pub(super) fn are_twins(inliers: [u32; 2], beyond_doubt: u32) -> bool {
     let (fewer, more) = (inliers[0].min(inliers[1]), inliers[0].max(inliers[1]));
     fewer >= beyond_doubt && more < 2 * fewer

@@ -19,8 +19,8 @@ pub struct PlaceGrounds {
     /// The same with the places next to it: what has to pass the threshold; 0 if one of these is likelier and may be
     /// it.
     pub around: f32,
-    /// Probability of its twins, which geometry verifies beyond doubt as it does this place. It counts where the place is
-    /// accepted, and not for how sure that is: they may be others that look alike.
+    /// Probability of its twins, which geometry verifies beyond doubt as it does this place. It counts where the place
+    /// is accepted, and not for how sure that is: they may be others that look alike.
     pub twins: f32,
     /// Whether the frame itself says enough for it.
     pub may_be: bool,

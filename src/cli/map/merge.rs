@@ -45,7 +45,7 @@ pub(in crate::cli) struct MergeArguments {
     /// Visual vocabulary; given again, a set that is switched by light [default: vocab/default.lvoc]
     #[arg(long, value_name = "FILE")]
     vocab: Vec<PathBuf>,
-    /// Folder of the CNN whose descriptors the maps hold; only its card is read [default:
+    /// Folder of the CNN whose descriptors the maps hold, of which only the card is read, or none [default:
     /// models/efficientnet-lite0]
     #[arg(long, env = "LOCI_MODEL", value_name = "DIR")]
     model: Option<PathBuf>,

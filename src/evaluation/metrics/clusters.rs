@@ -34,7 +34,8 @@ pub fn purity(
 /// Share of the members of `clusters`, but for those that founded them, that are `apart` from every member before them:
 /// places that were merged though they are two.
 ///
-/// Only members count of whom and of one before them the ground truth says whether they are. `None` where there are none.
+/// Only members count of whom and of one before them the ground truth says whether they are. `None` where there are
+/// none.
 #[must_use]
 pub fn false_merges(
     clusters: &[Vec<usize>],
