@@ -30,7 +30,8 @@ pub struct Clues {
     pub rival_cosine: Option<f32>,
     /// Effective inliers; 0 where geometry found nothing.
     pub inliers: u32,
-    /// The most effective inliers of a place that is neither next to it nor its [twin](are_twins).
+    /// The most effective inliers of a place that is neither next to it nor its twin, which the frame shows about as
+    /// well beyond doubt.
     pub rival_inliers: u32,
 }
 
