@@ -12,8 +12,8 @@ Maps are founded by the program itself, and other frames are looked at with them
 
 Of every frame count the right and the wrong place that the CNN holds for the likeliest, that geometry does, and that is
 farthest ahead of what else the CNN finds: between these a decision is made. Right and wrong weigh the same. Prints the
-[fusion] table of the card and the constant of src/recognition/fusion.rs; needs a quarter of an hour. Nothing else is looked
-at: none of the sequences on which figures are reported, but that the tower's floors are also asked about as strangers to
+[fusion] table of the card and the constant of src/recognition/fusion.rs, and what the BoW score would add on maps that were
+not fitted on; needs a quarter of an hour. Nothing else is looked at: none of the sequences on which figures are reported, but that the tower's floors are also asked about as strangers to
 each other.
 """
 
@@ -37,6 +37,7 @@ TOLERANCE_FRAMES = 2
 NIGHT_SIDE_PX = 448
 RIVAL = 4
 BEYOND_DOUBT_INLIERS = 16
+LEAST_SCORE = 1e-3
 RIDGE = 1e-2
 CARD = Path(__file__).parent / "efficientnet-lite0" / "card.toml"
 
@@ -125,7 +126,7 @@ def run(program, *arguments):
 
 
 def evidence(program, mapped, looked_at, is_same, folder):
-    """Of every frame, place by place: (cosine, margin, effective inliers, margin of ln(1 + inliers), right)."""
+    """Of every frame, place by place: (cosine, margin, effective inliers, margin of ln(1 + inliers), ln of the BoW score, right)."""
     place_map = folder / re.sub(r"\W", "_", str(mapped))
     if not place_map.exists():
         run(program, "run", mapped, "--map", place_map)
@@ -140,17 +141,21 @@ def evidence(program, mapped, looked_at, is_same, folder):
         named = {candidate["place"]: candidate["score"] for candidate in candidates if candidate["by"] == "cnn"}
         if frame < first or not named:
             continue
-        found = {}
+        found, shared = {}, {candidate["place"]: candidate["score"] for candidate in reversed(candidates) if candidate["by"] == "bow_hv"}
         for candidate in candidates:
             cosine, inliers = found.get(candidate["place"], (min(named.values()), 0))
             if candidate["by"] == "cnn":
                 cosine = max(cosine, candidate["score"])
             found[candidate["place"]] = cosine, max(inliers, candidate.get("inliers") or 0)
-        yield [(*ahead(place, found, named, near[place]), any(is_same(frame, mapped) for mapped in shows[place])) for place in found]
+        yield [(*ahead(place, found, named, near[place]), np.log(shared.get(place, 0) + LEAST_SCORE), any(is_same(frame, mapped) for mapped in shows[place]))
+               for place in found]
 
 
 def ahead(place, found, named, near):
-    """Cosine and inliers of a place, each with what it is ahead of others, as src/recognition/fusion.rs has it; that a threshold is passed counts for nothing."""
+    """Cosine and inliers of a place, each with what it is ahead of others, as src/recognition/fusion.rs has it.
+
+    That the cosine passes the card's threshold counts for nothing here.
+    """
     cosine, inliers = found[place]
     others = sorted((score for other, score in named.items() if other != place), reverse=True)
     cosine_margin = cosine - others[RIVAL - 1] if len(others) >= RIVAL else 0
@@ -188,6 +193,16 @@ def logistic(design, right, weights):
     return solution / spread
 
 
+def held_out_loss(design, right, weights, mapped):
+    """Log loss on each map by the weights of the others, both kinds weighing the same."""
+    log_odds = np.zeros(len(right))
+    for one in np.unique(mapped):
+        others = mapped != one
+        log_odds[~others] = design[~others] @ logistic(design[others], right[others], weights[others])
+    share = weights / np.where(right, weights[right].sum(), weights[~right].sum()) / 2
+    return (share * np.logaddexp(0, np.where(right, -log_odds, log_odds))).sum()
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("program", type=Path, help="the program loci")
@@ -200,16 +215,21 @@ def main():
         floors(arguments.tower, folder)
         for mapped, looked_at, is_same in experiments(folder):
             frames = list(evidence(arguments.program.resolve(), mapped, looked_at, is_same, folder))
-            seen += contested(frames)
+            seen += ((*row, str(mapped)) for row in contested(frames))
             print(f"# {Path(str(mapped)).name} by {Path(str(looked_at)).name}: {len(frames)} frames", flush=True)
-    cosine, margin, inliers, inlier_margin, right, weights = (np.array(column, float) for column in zip(*seen))
+    *columns, mapped = zip(*seen)
+    cosine, margin, inliers, inlier_margin, shared, right, weights = (np.array(column, float) for column in columns)
+    mapped = np.array(mapped)
     right, one = right.astype(bool), np.ones(len(right))
     slope, offset = decision["calibration_slope"], decision["calibration_offset"]
     geometry = [np.log1p(inliers), np.minimum(inliers, 1), inlier_margin]
-    together = logistic(np.stack([one, slope * cosine + offset, slope * margin, *geometry], 1), right, weights)
+    clues = np.stack([one, slope * cosine + offset, slope * margin, *geometry], 1)
+    together = logistic(clues, right, weights)
     names = ("offset", "cosine", "cosine_margin", "inliers", "any_inliers", "inlier_margin")
     print(f"# {len(right)} places in contest, {right.sum()} of them right")
     print("[fusion]", *(f"{name} = {weight:.3f}" for name, weight in zip(names, together)), sep="\n")
+    for name, design in (("these", clues), ("these and ln(BoW score)", np.column_stack([clues, shared]))):
+        print(f"# log loss on maps that were not fitted on, {name}: {held_out_loss(design, right, weights, mapped):.4f}")
     print("GEOMETRY =", [round(float(weight), 3) for weight in logistic(np.stack([one, *geometry], 1), right, weights)])
 
 
