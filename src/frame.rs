@@ -31,3 +31,20 @@ pub struct Frame {
     /// The place that the frame truly shows, where the source knows it (synthetic worlds).
     pub true_place: Option<u32>,
 }
+
+#[cfg(test)]
+impl Frame {
+    /// A frame of which nothing but its number matters.
+    pub(crate) fn numbered(index: u64) -> Self {
+        Self {
+            index,
+            capture_nanos: 0,
+            name: String::new(),
+            colour: RgbImage::new(1, 1),
+            grey: GreyImage::new(1, 1),
+            jpeg: None,
+            pose: None,
+            true_place: None,
+        }
+    }
+}

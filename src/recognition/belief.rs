@@ -173,16 +173,17 @@ pub(super) fn neighbours(map: &PlaceMap, place: PlaceId) -> BTreeSet<PlaceId> {
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::world_for_tests::{frame, in_memory};
+    use super::super::world_for_tests::in_memory;
     use super::*;
     use crate::feature::Features;
+    use crate::frame::Frame;
     use crate::place_map::{NewExperience, Traits};
 
     /// A map of so many places, founded one after the other along a way.
     fn way(places: u32) -> PlaceMap {
         let mut map = in_memory();
         for index in 0..u64::from(places) {
-            let frame = frame(index);
+            let frame = Frame::numbered(index);
             let new = NewExperience {
                 frame: &frame,
                 view: index,

@@ -13,8 +13,7 @@ use super::look::Look;
 use super::recogniser::Recogniser;
 use crate::cnn::Descriptor;
 use crate::place_map::{ExperienceId, MapError, PlaceId};
-use crate::verification::{MatchingView, verify};
-use crate::vocabulary::ConditionId;
+use crate::verification::MatchingView;
 
 /// A place of which the first keyframe and the last are not linked, not even through others, or several are not linked
 /// to several others.
@@ -117,25 +116,11 @@ impl Recogniser {
         }
         let (seen, known) = (one.look.appearance.as_ref(), other.look.appearance.as_ref());
         let cosine = seen.zip(known).map(|(seen, known)| seen.cosine(known));
-        let inliers = self.inliers(one, other);
+        let query = MatchingView { features: &one.look.features, groups: &one.groups };
+        let geometry = self.geometry((query, one.look.light.condition), &other.look.features);
+        let inliers = geometry.effective_inliers;
         let clues = Clues { cosine, rival_cosine: one.rival_cosine, inliers, rival_inliers: 0 };
         inliers >= self.options.min_inliers || clues.log_odds(self.model.as_ref()) >= SHOWN_LOG_ODDS
-    }
-
-    fn inliers(&self, one: &Shown, other: &Shown) -> u32 {
-        let condition = one.look.light.condition;
-        let in_other_light =
-            (other.look.light.condition != condition).then(|| self.groups_in(condition, &other.look));
-        let groups = in_other_light.as_ref().unwrap_or(&other.groups);
-        let query = MatchingView { features: &one.look.features, groups: &one.groups };
-        let keyframe = MatchingView { features: &other.look.features, groups };
-        verify(query, keyframe, &self.options.verification).effective_inliers
-    }
-
-    /// The groups in which the features of `look` are matched by the vocabulary for that light.
-    fn groups_in(&self, condition: ConditionId, look: &Look) -> Vec<u32> {
-        let nodes = self.vocabularies().vocabulary(condition).nodes(&look.features.descriptors);
-        nodes.iter().map(|node| node.0).collect()
     }
 }
 
@@ -151,7 +136,7 @@ fn has_drifted(parts: &[Vec<ExperienceId>]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::super::RecognitionOptions;
-    use super::super::world_for_tests::{Robot, appearance, card, features, frame, in_memory, no_interval};
+    use super::super::world_for_tests::{Robot, appearance, card, features, in_memory, no_interval};
     use super::*;
     use crate::frame::Frame;
     use crate::place_map::{Appearance, NewExperience, PlaceMap, Traits};
@@ -172,7 +157,7 @@ mod tests {
         let appearance = Some(Appearance { model: card().sha256, descriptor });
         let traits = Traits { words: Vec::new(), appearance };
         let keyframe = Some((&features(of), &traits));
-        map.learn(place, &NewExperience { keyframe, ..new(&frame(index)) }).unwrap().place
+        map.learn(place, &NewExperience { keyframe, ..new(&Frame::numbered(index)) }).unwrap().place
     }
 
     fn new(frame: &Frame) -> NewExperience<'_> {
@@ -237,7 +222,7 @@ mod tests {
         let mut map = in_memory();
         place_of(&mut map, &[(1, 1)]);
         place_of(&mut map, &[(2, 1), (2, 3)]);
-        map.learn(None, &NewExperience { keyframe: None, ..new(&frame(9)) }).unwrap();
+        map.learn(None, &NewExperience { keyframe: None, ..new(&Frame::numbered(9)) }).unwrap();
         let mut robot = Robot::new(None, no_interval(), map);
         assert_eq!(robot.recogniser.drifted(&GO_ON).unwrap(), []);
     }

@@ -15,6 +15,7 @@ use super::visits::Visits;
 use super::working_set::WorkingSet;
 use super::{Decision, Recognition};
 use crate::cnn;
+use crate::feature::Features;
 use crate::frame::Frame;
 use crate::place_map::{ExperienceId, Learnt, MapError, PlaceMap};
 use crate::verification::{MatchingView, Verification, verify};
@@ -206,19 +207,23 @@ impl Recogniser {
         keyframe: ExperienceId,
     ) -> Verification {
         match self.map.features(keyframe) {
-            Ok(features) => {
-                let vocabulary = self.keyframes.vocabularies().vocabulary(condition);
-                let groups: Vec<u32> =
-                    vocabulary.nodes(&features.descriptors).iter().map(|node| node.0).collect();
-                let view = MatchingView { features: &features, groups: &groups };
-                verify(query, view, &self.options.verification)
-            }
+            Ok(features) => self.geometry((query, condition), &features),
             Err(failure) => {
                 self.keyframes.remove(keyframe);
                 self.leave_out(keyframe, failure);
                 Verification::default()
             }
         }
+    }
+
+    /// The geometry between a query seen in a light and the features of a keyframe.
+    pub(super) fn geometry(
+        &self,
+        (query, condition): (MatchingView<'_>, ConditionId),
+        keyframe: &Features,
+    ) -> Verification {
+        let groups = self.vocabularies().vocabulary(condition).groups(&keyframe.descriptors);
+        verify(query, MatchingView { features: keyframe, groups: &groups }, &self.options.verification)
     }
 
     /// Decides from candidates and the [geometry](Self::verify) of those that have one, and adds to the map what was

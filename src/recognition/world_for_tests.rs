@@ -13,7 +13,6 @@ use crate::feature::{Descriptor, Features, Keypoint};
 use crate::frame::Frame;
 use crate::geometry::Point;
 use crate::place_map::{MapOptions, PlaceMap};
-use crate::raster::{GreyImage, RgbImage};
 use crate::vocabulary::{LightSwitch, MemoryCorpus, TrainingOptions, VocabularySet, train, train_on};
 
 pub(super) const DIMENSIONS: usize = 16;
@@ -24,20 +23,6 @@ pub(super) fn in_memory() -> PlaceMap {
 
 pub(super) fn opened(folder: &Path) -> PlaceMap {
     PlaceMap::open(folder, MapOptions::default()).unwrap()
-}
-
-/// A frame of which nothing but its number matters.
-pub(super) fn frame(index: u64) -> Frame {
-    Frame {
-        index,
-        capture_nanos: 0,
-        name: String::new(),
-        colour: RgbImage::new(1, 1),
-        grey: GreyImage::new(1, 1),
-        jpeg: None,
-        pose: None,
-        true_place: None,
-    }
 }
 
 /// The features that are seen at a made-up place.
@@ -132,7 +117,7 @@ impl Robot {
     }
 
     pub(super) fn frame(&self) -> Frame {
-        frame(self.frames)
+        Frame::numbered(self.frames)
     }
 
     /// Goes to a place that no test looks at.

@@ -326,7 +326,6 @@ mod tests {
     use crate::feature::Features;
     use crate::frame::Frame;
     use crate::place_map::{MapOptions, NewExperience, Traits};
-    use crate::raster::{GreyImage, RgbImage};
 
     const SECOND: i64 = 1_000_000_000;
 
@@ -340,14 +339,9 @@ mod tests {
     fn learn(map: &mut PlaceMap, place: Option<PlaceId>, look: &Look) -> PlaceId {
         let orientation = [0.0, 0.0, 0.0, 1.0];
         let frame = Frame {
-            index: 0,
             capture_nanos: look.seconds * SECOND,
-            name: String::new(),
-            colour: RgbImage::new(1, 1),
-            grey: GreyImage::new(1, 1),
-            jpeg: None,
             pose: look.position_metres.map(|position_metres| Pose { position_metres, orientation }),
-            true_place: None,
+            ..Frame::numbered(0)
         };
         let (features, traits) = (Features::default(), Traits::default());
         let new = NewExperience {

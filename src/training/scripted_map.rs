@@ -3,7 +3,6 @@
 use crate::feature::Features;
 use crate::frame::Frame;
 use crate::place_map::{MapOptions, NewExperience, PlaceId, PlaceMap, Traits};
-use crate::raster::{GreyImage, RgbImage};
 
 /// A map of one place after the other that was seen so many times; every image is what `jpeg_of` says of the place.
 pub(super) fn scripted_map(sizes: &[usize], mut jpeg_of: impl FnMut(usize) -> Vec<u8>) -> PlaceMap {
@@ -12,16 +11,7 @@ pub(super) fn scripted_map(sizes: &[usize], mut jpeg_of: impl FnMut(usize) -> Ve
     for (index, &size) in sizes.iter().enumerate() {
         let mut place: Option<PlaceId> = None;
         for time in 0..size {
-            let frame = Frame {
-                index: 0,
-                capture_nanos: time as i64,
-                name: String::new(),
-                colour: RgbImage::new(1, 1),
-                grey: GreyImage::new(1, 1),
-                jpeg: None,
-                pose: None,
-                true_place: None,
-            };
+            let frame = Frame { capture_nanos: time as i64, ..Frame::numbered(0) };
             let new = NewExperience {
                 frame: &frame,
                 view: 0,

@@ -210,18 +210,19 @@ impl Vocabulary {
         quantised
     }
 
-    /// The node near the root of every descriptor, as in [`Quantised::node`], without going on to its word.
+    /// The number of the node near the root of every descriptor, as in [`Quantised::node`], without going on to its
+    /// word: features under one node are compared.
     #[must_use]
-    pub fn nodes(&self, descriptors: &[Descriptor]) -> Vec<NodeId> {
+    pub fn groups(&self, descriptors: &[Descriptor]) -> Vec<u32> {
         let tables = self.tables();
-        let node = |descriptor| {
+        let group = |descriptor| {
             let mut descent = Descent::default();
             for level in 0..DIRECT_INDEX_LEVEL {
                 descent.step(tables, descriptor, level);
             }
-            NodeId(descent.node)
+            descent.node
         };
-        descriptors.iter().map(node).collect()
+        descriptors.iter().map(group).collect()
     }
 
     fn tables(&self) -> Tables<'_> {

@@ -21,11 +21,10 @@ const NAMED: usize = 5;
 #[command(after_help = "Examples:\n  loci map drift maps/site\n  loci map drift maps/site --json\n\n\
     A place follows slow change, each match bringing a new look; by that it may also have been led astray. It is \
     listed if its first keyframe and its last are not linked, not even through others, or several not to several \
-    others. Two keyframes are linked if \
-    a frame like the one would join a place with the other alone, or if they were learnt in one go, within five \
-    frames. A listed place need not be wrong: look at its experiences, numbered as in `loci map export --thumbnails`. \
-    Nothing is changed. Keyframes that cannot be read are left out. The exit code is 0 also where places are listed, \
-    and 3 where something could not be read.")]
+    others. Two keyframes are linked if a frame like the one would join a place with the other alone, or if they \
+    were learnt in one go, within five frames. A listed place need not be wrong: look at its experiences, numbered as \
+    in `loci map export --thumbnails`. Nothing is changed. Keyframes that cannot be read are left out. The exit code \
+    is 0 also where places are listed, and 3 where something could not be read.")]
 pub(in crate::cli) struct DriftArguments {
     /// Folder of the map
     map: PathBuf,
