@@ -7,6 +7,7 @@ use super::candidate::{Candidate, Candidates, Evidence, Rejection};
 use super::fusion::{self, Clues};
 use super::grounds::{Grounds, PlaceGrounds, Thresholds};
 use super::identity::STRONG;
+use super::look::Look;
 use super::recogniser::Recogniser;
 use super::{Decision, Recognition};
 use crate::place_map::PlaceId;
@@ -141,6 +142,7 @@ impl Recogniser {
     /// The decision, before anything is written. A new place has no number yet.
     pub(super) fn judge(
         &self,
+        look: &Look,
         chosen: Option<Candidate>,
         (candidates, grounds): (Candidates, Grounds),
         verification: Option<Verification>,
@@ -156,8 +158,7 @@ impl Recogniser {
                 let likely = grounds.around(place).max(self.belief.of(place));
                 (Decision::SamePlace, Some(Evidence::PlaceInterval), Some(place), likely)
             }
-            // A single frame founds no place.
-            (None, None) if self.options.read_only || self.has_shown => {
+            (None, None) if self.options.read_only || self.is_doubtful(look) => {
                 (Decision::Unknown, None, None, elsewhere)
             }
             (None, None) => (Decision::NewPlace, None, None, elsewhere),
@@ -175,6 +176,13 @@ impl Recogniser {
             verification,
             grounds,
         }
+    }
+
+    /// Whether a frame that shows no known place founds none by itself: where the one before showed one, or where it is
+    /// poor. The second such frame in a row does.
+    fn is_doubtful(&self, look: &Look) -> bool {
+        let is_first = self.options.sequence && !self.was_unknown;
+        self.has_shown || is_first && look.is_poor(self.options.keyframe_features)
     }
 
     /// Marks everything but the chosen one as turned down, and puts that first.

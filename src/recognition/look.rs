@@ -7,7 +7,7 @@ use crate::vocabulary::{Light, Quantised, VocabularySet};
 /// What was seen in a frame.
 #[derive(Clone, Debug, Default)]
 pub struct Look {
-    /// ORB features.
+    /// ORB features; of a frame of no size where nobody looked for any.
     pub features: Features,
     /// Under which light.
     pub light: Light,
@@ -27,6 +27,12 @@ impl Look {
     ) -> Self {
         let quantised = vocabularies.vocabulary(light.condition).quantise_all(&features.descriptors);
         Self { features, light, quantised, appearance }
+    }
+
+    /// Whether features were looked for, and fewer found than a keyframe keeps: the frame is blurred, dark or covered, or
+    /// there is little to be seen.
+    pub(super) fn is_poor(&self, keyframe_features: usize) -> bool {
+        self.features.width_px > 0 && self.features.len() < keyframe_features
     }
 
     /// The node under which each feature is compared.

@@ -51,6 +51,27 @@ fn a_robot_that_is_carried_where_no_map_is_says_unknown_once_and_founds_a_place(
 }
 
 #[test]
+fn a_blurred_frame_founds_no_place_while_the_robot_explores() {
+    let mut robot = robot_on_its_way();
+    assert_eq!(robot.see_blurred(40, 12).decision, Decision::Unknown);
+    assert_eq!(robot.see(6, 6).decision, Decision::NewPlace, "a clear one does after it");
+    assert_eq!(robot.see_blurred(40, 12).decision, Decision::Unknown);
+    assert_eq!(robot.see(2, 2).place, Some(PlaceId(2)), "and what is known is recognised after it");
+    assert_eq!(places(&robot), 7);
+}
+
+#[test]
+fn where_little_is_to_be_seen_the_second_frame_founds_a_place() {
+    let mut robot = Robot::new(Some(card()), no_interval(), in_memory());
+    assert_eq!(robot.see_blurred(0, 0).decision, Decision::Unknown, "not even the first of all");
+    assert_eq!(robot.see_blurred(0, 0).decision, Decision::NewPlace);
+    assert_eq!(robot.see_blurred(0, 0).place, Some(PlaceId(0)));
+    let options = RecognitionOptions { sequence: false, ..no_interval() };
+    let mut robot = Robot::new(Some(card()), options, in_memory());
+    assert_eq!(robot.see_blurred(0, 0).decision, Decision::NewPlace, "each frame by itself");
+}
+
+#[test]
 fn a_robot_that_reads_only_and_is_carried_away_does_not_go_on_believing_where_it_was() {
     let mut robot = robot_on_its_way();
     (0..20).for_each(|_| drop(robot.see(0, 0)));

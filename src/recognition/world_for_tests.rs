@@ -17,6 +17,9 @@ use crate::vocabulary::{LightSwitch, MemoryCorpus, TrainingOptions, VocabularySe
 
 pub(super) const DIMENSIONS: usize = 16;
 
+/// Features of every place, enough to fill a keyframe.
+const FEATURES: usize = 260;
+
 pub(super) fn in_memory() -> PlaceMap {
     PlaceMap::in_memory(MapOptions::default()).unwrap()
 }
@@ -29,7 +32,7 @@ pub(super) fn opened(folder: &Path) -> PlaceMap {
 pub(super) fn features(place: u64) -> Features {
     let mut random = Pcg64::seed_from_u64(place);
     let mut features = Features { width_px: 640, height_px: 480, ..Features::default() };
-    for _ in 0..200 {
+    for _ in 0..FEATURES {
         let point = Point { x: random.random_range(0.0..640.0), y: random.random_range(0.0..480.0) };
         features.keypoints.push(Keypoint { point, scale: 1.0, angle_radians: 0.0, response: 20 });
         features.descriptors.push(Descriptor(random.random()));
@@ -106,13 +109,22 @@ impl Robot {
 
     /// The same in a frame of that luminance.
     pub(super) fn see_in(&mut self, mean_luminance: f32, place: u64, look: usize) -> Recognition {
+        self.see_features(mean_luminance, features(place), look)
+    }
+
+    /// The same of a frame that shows only a few features, for it is blurred.
+    pub(super) fn see_blurred(&mut self, place: u64, look: usize) -> Recognition {
+        self.see_features(120.0, features(place).foremost(FEATURES / 4), look)
+    }
+
+    fn see_features(&mut self, mean_luminance: f32, features: Features, look: usize) -> Recognition {
         let frame = self.frame();
         self.frames += 1;
         let appearance = self.recogniser.has_cnn().then(|| appearance(look));
         let vocabularies = self.recogniser.vocabularies();
         let light = self.light.follow(vocabularies, mean_luminance);
         let thumbnail = look as u8;
-        let look = Look::new(features(place), (vocabularies, light), appearance);
+        let look = Look::new(features, (vocabularies, light), appearance);
         self.recogniser.recognise(&frame, &look, || vec![thumbnail])
     }
 

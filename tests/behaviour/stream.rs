@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
+use loci::raster::RgbImage;
 use loci::source::{self, FrameSource};
 
 use crate::program::{Finished, loci, loci_without_runtime, send, text};
@@ -114,6 +115,23 @@ fn sigterm_ends_a_run_with_everything_committed() {
     let learnt = answered.iter().filter(|line| !line.contains(r#""experience":null"#)).count();
     assert_eq!((&map["experiences"], &map["torn_bytes"]), (&learnt.into(), &0.into()));
     assert!(learnt > 0 && answered.len() < 3000, "it ran to the end");
+}
+
+#[test]
+fn a_hand_before_the_camera_founds_no_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut street = source::open("synthetic:street?laps=1&light=noon&frames=60&seed=21", None).unwrap();
+    let frames: Vec<_> =
+        std::iter::from_fn(|| street.next_frame()).map(|frame| frame.unwrap().colour).collect();
+    let hand = RgbImage::new(640, 480);
+    for (index, picture) in
+        [&frames[0], &frames[20], &hand, &frames[40], &hand, &hand].into_iter().enumerate()
+    {
+        std::fs::write(folder.path().join(format!("{index}.jpg")), source::jpeg(picture)).unwrap();
+    }
+    let run = loci(&["run", text(folder.path()), "--place-interval", "0", "--json"]);
+    let expected = ["new_place", "new_place", "unknown", "new_place", "unknown", "new_place"];
+    assert_eq!(run.decisions(), expected, "the second one does: it may be dark here");
 }
 
 #[test]
