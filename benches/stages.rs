@@ -20,7 +20,7 @@ fn frames(count: usize) -> Vec<Frame> {
 
 fn stages(criterion: &mut Criterion) {
     let vocabulary = Vocabulary::open(Path::new("vocab/default.lvoc")).expect("the shipped vocabulary");
-    let extractor = OrbExtractor::new(OrbOptions::default());
+    let mut extractor = OrbExtractor::new(OrbOptions::default());
     let frames = frames(20);
     criterion.bench_function("features/orb_1000_of_640x480", |bencher| {
         bencher.iter(|| extractor.extract(black_box(&frames[0].grey)));

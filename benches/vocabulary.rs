@@ -20,7 +20,7 @@ fn images() -> Option<Vec<Vec<Descriptor>>> {
         fs::read_dir(root.join("tower_walk")).ok()?.flatten().map(|entry| entry.path()).collect();
     floors.retain(|path| path.is_dir());
     floors.sort();
-    let extractor = OrbExtractor::new(OrbOptions::default());
+    let mut extractor = OrbExtractor::new(OrbOptions::default());
     let of_floor = |floor: &PathBuf| {
         let mut source = source::open(&floor.to_string_lossy(), None).expect("a folder of images");
         let frames = std::iter::from_fn(|| source.next_frame()).map(|frame| frame.expect("an image"));

@@ -24,6 +24,12 @@ impl GreyImage {
         (pixels.len() == width.checked_mul(height)?).then_some(Self { width, height, pixels })
     }
 
+    /// Makes it an image of this size, whose pixels are to be written before they are read.
+    pub fn resize(&mut self, width: usize, height: usize) {
+        self.pixels.resize(width * height, 0);
+        (self.width, self.height) = (width, height);
+    }
+
     /// Width in pixels.
     #[must_use]
     pub fn width(&self) -> usize {

@@ -227,7 +227,7 @@ impl TraversePlan {
     ) -> Result<Traverse, EvaluationError> {
         let mut observations = Vec::new();
         let spans_folders = self.spans_folders();
-        let perception = Perception::new(&eyes.extractor, &eyes.vocabularies, eyes.model.as_mut());
+        let perception = Perception::new(&mut eyes.extractor, &eyes.vocabularies, eyes.model.as_mut());
         let skipped = perception.run(self.source()?, stop, watcher, |seen| {
             let number = self.number(&seen.frame);
             observations.push(self.observation(seen, number, (spans_folders, keeps_pictures)));

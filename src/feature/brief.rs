@@ -2,34 +2,112 @@
 
 use super::Descriptor;
 use super::brief_pattern::PATTERN;
+use super::detection::Corner;
+use crate::kernel::for_every_processor;
 use crate::raster::GreyImage;
 
 /// Distance in pixels from the border within which a turned pattern would leave the image:
 /// ⌈√(13² + 13²)⌉.
 pub(super) const BORDER_PX: usize = 19;
 
-/// The descriptor at column `x`, row `y` of the blurred `image`; both lie ≥ 19 px inside it.
-pub(super) fn describe(image: &GreyImage, x: usize, y: usize, angle_radians: f32) -> Descriptor {
-    let (sin, cos) = angle_radians.sin_cos();
-    let sample = |px: i8, py: i8| {
-        let (px, py) = (f32::from(px), f32::from(py));
-        let dx = (cos * px - sin * py).round_ties_even() as isize;
-        let dy = (sin * px + cos * py).round_ties_even() as isize;
-        image.get(x.wrapping_add_signed(dx), y.wrapping_add_signed(dy))
-    };
-    let mut bytes = [0; 32];
-    for (byte, tests) in bytes.iter_mut().zip(PATTERN.as_chunks::<8>().0) {
-        for (bit, &[x1, y1, x2, y2]) in tests.iter().enumerate() {
-            *byte |= u8::from(sample(x1, y1) < sample(x2, y2)) << bit;
+/// Farthest that a turned point of the pattern lies from the keypoint in each direction.
+const REACH_PX: usize = BORDER_PX - 1;
+/// Pixels of a row that the pattern may reach.
+const ROW_PX: usize = 2 * REACH_PX + 1;
+/// Pixels from one row of a [`Patch`] to the next; a power of two, so that no index of a pixel can leave it.
+const STRIDE: usize = 64;
+
+/// What the tests of a corner compare.
+type Patch = [u8; STRIDE * STRIDE];
+
+/// Points of the pattern, the first of every pair and then the second.
+const POINTS: usize = 2 * PATTERN.len();
+
+/// Adding this to a small number leaves its nearest whole one, of two the even, in the lowest bits.
+const ROUNDING: f32 = (3 << 22) as f32;
+
+const fn coordinates(axis: usize) -> [f32; POINTS] {
+    let mut coordinates = [0.0; POINTS];
+    let mut i = 0;
+    while i < PATTERN.len() {
+        coordinates[i] = PATTERN[i][axis] as f32;
+        coordinates[PATTERN.len() + i] = PATTERN[i][2 + axis] as f32;
+        i += 1;
+    }
+    coordinates
+}
+
+static X: [f32; POINTS] = coordinates(0);
+static Y: [f32; POINTS] = coordinates(1);
+
+for_every_processor! {
+    /// Adds to `descriptors` that of every one of `corners`, turned by its angle in radians. They were found in the
+    /// level that is `blurred`, inside which they lie ≥ 19 px.
+    pub(super) fn describe(
+        blurred: &GreyImage,
+        corners: &[Corner],
+        angles_radians: &[f32],
+        descriptors: &mut Vec<Descriptor>,
+    ) = describe_all
+}
+
+#[inline(always)]
+fn describe_all(
+    blurred: &GreyImage,
+    corners: &[Corner],
+    angles_radians: &[f32],
+    descriptors: &mut Vec<Descriptor>,
+) {
+    let mut patch = [0; STRIDE * STRIDE];
+    for (&Corner { x, y, .. }, &angle_radians) in corners.iter().zip(angles_radians) {
+        let (first, last) = ((y - REACH_PX) * blurred.width() + x, (y + REACH_PX) * blurred.width() + x);
+        let around = &blurred.pixels()[first - REACH_PX..=last + REACH_PX];
+        for (pixels, row) in patch.chunks_exact_mut(STRIDE).zip(around.chunks(blurred.width())) {
+            pixels[..ROW_PX].copy_from_slice(&row[..ROW_PX]);
         }
+        descriptors.push(compare(&patch, angle_radians));
+    }
+}
+
+#[inline(always)]
+fn compare(patch: &Patch, angle_radians: f32) -> Descriptor {
+    let (sin, cos) = angle_radians.sin_cos();
+    let nearest = |value: f32| (value + ROUNDING).to_bits().wrapping_sub(ROUNDING.to_bits());
+    let centre = (REACH_PX * STRIDE + REACH_PX) as u32;
+    let mut at = [0_u16; POINTS];
+    for i in 0..POINTS {
+        let dx = nearest(cos * X[i] - sin * Y[i]);
+        let dy = nearest(sin * X[i] + cos * Y[i]);
+        at[i] = dy.wrapping_mul(STRIDE as u32).wrapping_add(dx).wrapping_add(centre) as u16;
+    }
+    let mut pixels = [0; POINTS];
+    for i in 0..POINTS {
+        pixels[i] = patch[usize::from(at[i]) % patch.len()];
+    }
+    let (first, second) = pixels.split_at(PATTERN.len());
+    let mut is_darker = [0; PATTERN.len()];
+    for i in 0..PATTERN.len() {
+        is_darker[i] = u8::from(first[i] < second[i]);
+    }
+    let mut bytes = [0; 32];
+    for (byte, bits) in bytes.iter_mut().zip(is_darker.as_chunks::<8>().0) {
+        *byte = pack(*bits);
     }
     Descriptor(bytes)
+}
+
+/// Eight bytes of 0 or 1 as the bits of one, the first the lowest.
+#[inline(always)]
+fn pack(bits: [u8; 8]) -> u8 {
+    (u64::from_le_bytes(bits).wrapping_mul(0x0102_0408_1020_4080) >> 56) as u8
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::f32::consts::FRAC_PI_2;
+
+    use proptest::prelude::*;
 
     fn textured(size: usize) -> GreyImage {
         let pixels = (0..size * size).map(|i| ((i % size * 37) ^ (i / size * 91)) as u8).collect();
@@ -47,10 +125,48 @@ mod tests {
         turned
     }
 
+    fn describe_one(image: &GreyImage, x: usize, y: usize, angle_radians: f32) -> Descriptor {
+        let mut descriptors = Vec::new();
+        describe(image, &[Corner { x, y, response: 0 }], &[angle_radians], &mut descriptors);
+        descriptors[0]
+    }
+
+    /// The tests one by one, each point turned and rounded by itself.
+    fn by_definition(image: &GreyImage, x: usize, y: usize, angle_radians: f32) -> Descriptor {
+        let (sin, cos) = angle_radians.sin_cos();
+        let sample = |px: i8, py: i8| {
+            let (px, py) = (f32::from(px), f32::from(py));
+            let dx = (cos * px - sin * py).round_ties_even() as isize;
+            let dy = (sin * px + cos * py).round_ties_even() as isize;
+            image.get(x.wrapping_add_signed(dx), y.wrapping_add_signed(dy))
+        };
+        let mut bytes = [0; 32];
+        for (index, &[x1, y1, x2, y2]) in PATTERN.iter().enumerate() {
+            bytes[index / 8] |= u8::from(sample(x1, y1) < sample(x2, y2)) << (index % 8);
+        }
+        Descriptor(bytes)
+    }
+
+    proptest! {
+        #[test]
+        fn every_bit_is_one_test_between_two_turned_points(
+            pixels in proptest::collection::vec(any::<u8>(), 40 * 41), right in 0..2_usize, down in 0..3_usize,
+            angle_radians in -4.0..4.0_f32,
+        ) {
+            let image = GreyImage::from_pixels(40, 41, pixels).unwrap();
+            let (x, y) = (19 + right, 19 + down);
+            let expected = by_definition(&image, x, y, angle_radians);
+            prop_assert_eq!(describe_one(&image, x, y, angle_radians), expected);
+            let mut plain = Vec::new();
+            describe_all(&image, &[Corner { x, y, response: 0 }], &[angle_radians], &mut plain);
+            prop_assert_eq!(plain[0], expected);
+        }
+    }
+
     #[test]
     fn the_first_bits_are_the_published_tests() {
         let image = textured(41);
-        let descriptor = describe(&image, 20, 20, 0.0);
+        let descriptor = describe_one(&image, 20, 20, 0.0);
         let expected = image.get(28, 17) < image.get(29, 25);
         assert_eq!(descriptor.0[0] & 1 == 1, expected);
         let expected = image.get(24, 22) < image.get(27, 8);
@@ -60,8 +176,8 @@ mod tests {
     #[test]
     fn a_turned_patch_with_a_turned_angle_keeps_its_descriptor() {
         let image = textured(41);
-        let upright = describe(&image, 20, 20, 0.0);
-        let turned = describe(&turned_by_a_quarter(&image), 20, 20, FRAC_PI_2);
+        let upright = describe_one(&image, 20, 20, 0.0);
+        let turned = describe_one(&turned_by_a_quarter(&image), 20, 20, FRAC_PI_2);
         assert_eq!(upright, turned);
     }
 

@@ -22,59 +22,116 @@ pub(super) struct Corner {
     pub(super) response: u8,
 }
 
-/// At most `budget` corners of `level`, all ≥ 19 px inside it.
-pub(super) fn detect(level: &GreyImage, options: &OrbOptions, budget: usize) -> Vec<Corner> {
-    let scores = kernel::corner_scores(level, options.fallback_threshold);
-    let mut cells = corners_by_cell(level, &scores);
-    for cell in &mut cells {
-        keep_strong_or_all(cell, options.threshold);
+impl Corner {
+    /// Sorts the best first, of equally good ones that which is farther up, then farther left.
+    fn order(&self) -> (Reverse<u8>, usize, usize) {
+        (Reverse(self.response), self.y, self.x)
     }
-    take_in_turn(cells, budget)
 }
 
-fn corners_by_cell(level: &GreyImage, scores: &[u8]) -> Vec<Vec<Corner>> {
-    let columns = level.width().div_ceil(CELL_PX);
-    let rows = level.height().div_ceil(CELL_PX);
-    let mut cells = vec![Vec::new(); columns * rows];
-    for y in BORDER_PX..level.height().saturating_sub(BORDER_PX) {
-        for x in BORDER_PX..level.width().saturating_sub(BORDER_PX) {
-            if is_local_maximum(scores, level.width(), x, y) {
-                let response = scores[y * level.width() + x];
-                cells[y / CELL_PX * columns + x / CELL_PX].push(Corner { x, y, response });
+/// Finds corners level by level, in memory that it keeps.
+#[derive(Debug, Default)]
+pub(super) struct CornerDetector {
+    /// Scores of three rows in a row.
+    scores: [Vec<u8>; 3],
+    is_maximum: Vec<bool>,
+    cells: Vec<Vec<Corner>>,
+}
+
+impl CornerDetector {
+    /// Replaces `corners` by at most `budget` of `level`, all ≥ 19 px inside it.
+    pub(super) fn detect(
+        &mut self,
+        level: &GreyImage,
+        options: &OrbOptions,
+        budget: usize,
+        corners: &mut Vec<Corner>,
+    ) {
+        self.fill_cells(level, options);
+        corners.clear();
+        self.take_in_turn(budget, corners);
+    }
+
+    fn fill_cells(&mut self, level: &GreyImage, options: &OrbOptions) {
+        let (width, height) = (level.width(), level.height());
+        self.scores.iter_mut().for_each(|row| row.resize(width, 0));
+        self.is_maximum.resize(width, false);
+        let columns = width.div_ceil(CELL_PX);
+        self.cells.iter_mut().for_each(Vec::clear);
+        self.cells.resize_with(columns * height.div_ceil(CELL_PX), Vec::new);
+        let inside = BORDER_PX..width.saturating_sub(BORDER_PX);
+        for y in BORDER_PX - 1..(height + 1).saturating_sub(BORDER_PX) {
+            self.scores.rotate_left(1);
+            kernel::corner_scores(level, y, options.fallback_threshold, &mut self.scores[2]);
+            // Whether a score is the largest around is known one row later.
+            if y > BORDER_PX && !inside.is_empty() {
+                let [above, row, below] = &self.scores;
+                kernel::local_maxima([above, row, below], inside.clone(), &mut self.is_maximum);
+                let y = y - 1;
+                for x in indices_of_true(&self.is_maximum) {
+                    let cell = &mut self.cells[y / CELL_PX * columns + x / CELL_PX];
+                    add(cell, Corner { x, y, response: row[x] }, options.threshold);
+                }
             }
         }
     }
-    cells
-}
 
-/// Whether the score is positive and beats its eight neighbours; of equal ones the first wins.
-fn is_local_maximum(scores: &[u8], width: usize, x: usize, y: usize) -> bool {
-    let centre = y * width + x;
-    let score = scores[centre];
-    let before = [centre - width - 1, centre - width, centre - width + 1, centre - 1];
-    let after = [centre + 1, centre + width - 1, centre + width, centre + width + 1];
-    score > 0 && before.iter().all(|&i| scores[i] < score) && after.iter().all(|&i| scores[i] <= score)
-}
-
-fn keep_strong_or_all(cell: &mut Vec<Corner>, threshold: u8) {
-    if cell.iter().any(|corner| corner.response >= threshold) {
-        cell.retain(|corner| corner.response >= threshold);
+    /// The best corner of every cell, then every second-best, … until the budget is used up.
+    fn take_in_turn(&mut self, budget: usize, corners: &mut Vec<Corner>) {
+        let turns = self.turns(budget);
+        for cell in &mut self.cells {
+            if cell.len() > turns {
+                cell.select_nth_unstable_by_key(turns, Corner::order);
+                cell.truncate(turns);
+            }
+            cell.sort_unstable_by_key(Corner::order);
+        }
+        for turn in 0..turns {
+            let first = corners.len();
+            corners.extend(self.cells.iter().filter_map(|cell| cell.get(turn)));
+            corners[first..].sort_unstable_by_key(Corner::order);
+        }
+        corners.truncate(budget);
     }
-    cell.sort_by_key(|corner| (Reverse(corner.response), corner.y, corner.x));
+
+    /// After how many turns the budget is used up, or no cell has any more.
+    fn turns(&self, budget: usize) -> usize {
+        let most = self.cells.iter().map(Vec::len).max().unwrap_or_default();
+        let taken_after = |turns| self.cells.iter().map(|cell| cell.len().min(turns)).sum::<usize>();
+        (0..most).find(|&turns| taken_after(turns) >= budget).unwrap_or(most)
+    }
 }
 
-/// The best corner of every cell, then every second-best, … until the budget is used up.
-fn take_in_turn(cells: Vec<Vec<Corner>>, budget: usize) -> Vec<Corner> {
-    let mut ranked: Vec<(usize, Corner)> =
-        cells.into_iter().flat_map(|cell| cell.into_iter().enumerate()).collect();
-    ranked.sort_by_key(|&(rank, corner)| (rank, Reverse(corner.response), corner.y, corner.x));
-    ranked.truncate(budget);
-    ranked.into_iter().map(|(_, corner)| corner).collect()
+/// Where `flags` are set, as few are.
+fn indices_of_true(flags: &[bool]) -> impl Iterator<Item = usize> {
+    const CHUNK: usize = 16;
+    let (chunks, _) = flags.as_chunks::<CHUNK>();
+    let any = (0..).zip(chunks).filter(|(_, flags)| **flags != [false; CHUNK]);
+    let worth_a_look = any.flat_map(|(chunk, _)| chunk * CHUNK..(chunk + 1) * CHUNK);
+    worth_a_look.chain(chunks.len() * CHUNK..flags.len()).filter(|&index| flags[index])
+}
+
+/// Adds a corner to those of its cell; weak ones count only as long as there is no strong one.
+fn add(cell: &mut Vec<Corner>, corner: Corner, threshold: u8) {
+    let is_strong = |corner: &Corner| corner.response >= threshold;
+    let has_strong = cell.first().is_some_and(is_strong);
+    if is_strong(&corner) && !has_strong {
+        cell.clear();
+    }
+    if is_strong(&corner) || !has_strong {
+        cell.push(corner);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn detect(level: &GreyImage, options: &OrbOptions, budget: usize) -> Vec<Corner> {
+        let mut corners = Vec::new();
+        CornerDetector::default().detect(level, options, budget, &mut corners);
+        corners
+    }
 
     /// A dark image with bright squares whose corners are what FAST looks for.
     fn squares(size: usize, at: &[(usize, usize, u8)]) -> GreyImage {

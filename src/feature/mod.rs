@@ -6,6 +6,7 @@ mod brief_pattern;
 mod detection;
 mod orb;
 mod orientation;
+mod pyramid;
 
 pub use orb::{OrbExtractor, OrbOptions};
 

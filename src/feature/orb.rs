@@ -1,11 +1,12 @@
 //! The ORB extractor: a pyramid, corners on every level, an orientation and a descriptor for each.
 
 use super::brief;
-use super::detection::{self, Corner};
+use super::detection::{Corner, CornerDetector};
 use super::orientation::IntensityCentroid;
+use super::pyramid::Pyramid;
 use super::{Features, Keypoint};
 use crate::geometry::Point;
-use crate::kernel;
+use crate::kernel::Blur;
 use crate::raster::GreyImage;
 
 /// Settings of the extractor; the defaults are those of the ORB paper and of ORB-SLAM.
@@ -38,17 +39,36 @@ impl Default for OrbOptions {
     }
 }
 
-/// Finds and describes ORB features.
+/// Finds and describes ORB features, in memory that it keeps from frame to frame.
+#[derive(Debug)]
 pub struct OrbExtractor {
     options: OrbOptions,
+    /// Most features of each level.
+    budgets: Vec<usize>,
+    pyramid: Pyramid,
+    detector: CornerDetector,
     centroid: IntensityCentroid,
+    blur: Blur,
+    corners: Vec<Corner>,
+    angles_radians: Vec<f32>,
+    blurred: GreyImage,
 }
 
 impl OrbExtractor {
     /// An extractor with these settings.
     #[must_use]
     pub fn new(options: OrbOptions) -> Self {
-        Self { options, centroid: IntensityCentroid::new() }
+        Self {
+            options,
+            budgets: budgets(&options),
+            pyramid: Pyramid::default(),
+            detector: CornerDetector::default(),
+            centroid: IntensityCentroid::new(),
+            blur: Blur::default(),
+            corners: Vec::new(),
+            angles_radians: Vec::new(),
+            blurred: GreyImage::new(0, 0),
+        }
     }
 
     /// Its settings.
@@ -59,63 +79,48 @@ impl OrbExtractor {
 
     /// The features of `frame`, at most [`OrbOptions::max_features`], spread over it.
     #[must_use]
-    pub fn extract(&self, frame: &GreyImage) -> Features {
+    pub fn extract(&mut self, frame: &GreyImage) -> Features {
         let mut features = Features {
             width_px: frame.width() as u32,
             height_px: frame.height() as u32,
-            ..Features::default()
+            keypoints: Vec::with_capacity(self.options.max_features),
+            descriptors: Vec::with_capacity(self.options.max_features),
         };
-        let enlargement = self.options.min_width_px.div_ceil(frame.width().max(1)).max(1);
-        let mut level = if enlargement == 1 {
-            frame.clone()
-        } else {
-            kernel::resize_bilinear(frame, frame.width() * enlargement, frame.height() * enlargement)
-        };
-        let (base_width, base_height) = (level.width() as f32, level.height() as f32);
-        for (octave, budget) in self.budgets().into_iter().enumerate() {
-            let shrink = self.options.scale_factor.powi(octave as i32);
-            if octave > 0 {
-                let (width, height) = (base_width / shrink, base_height / shrink);
-                level = kernel::resize_bilinear(&level, width.round() as usize, height.round() as usize);
+        self.pyramid.build(frame, &self.options);
+        for ((level, scale), &budget) in self.pyramid.levels(frame, &self.options).zip(&self.budgets) {
+            self.detector.detect(level, &self.options, budget, &mut self.corners);
+            if self.corners.is_empty() {
+                continue;
             }
-            self.extract_level(&level, shrink / enlargement as f32, budget, &mut features);
+            self.centroid.measure(level, &self.corners, &mut self.angles_radians);
+            self.blur.blur_7x7(level, &mut self.blurred);
+            brief::describe(&self.blurred, &self.corners, &self.angles_radians, &mut features.descriptors);
+            let found = self.corners.iter().zip(&self.angles_radians);
+            features.keypoints.extend(found.map(|(corner, &angle_radians)| Keypoint {
+                point: Point { x: in_frame(corner.x, scale), y: in_frame(corner.y, scale) },
+                scale,
+                angle_radians,
+                response: corner.response,
+            }));
         }
         features
     }
+}
 
-    /// Features a level, in proportion to the levels' side lengths, as in ORB-SLAM.
-    fn budgets(&self) -> Vec<usize> {
-        let shares: Vec<f32> =
-            (0..self.options.levels).map(|level| self.options.scale_factor.powi(-(level as i32))).collect();
-        let total: f32 = shares.iter().sum();
-        let mut left = self.options.max_features;
-        let mut budgets = Vec::with_capacity(shares.len());
-        for (level, share) in shares.iter().enumerate() {
-            let rounded = (self.options.max_features as f32 * share / total).round() as usize;
-            let budget = if level + 1 == shares.len() { left } else { rounded.min(left) };
-            left -= budget;
-            budgets.push(budget);
-        }
-        budgets
+/// Features a level, in proportion to the levels' side lengths, as in ORB-SLAM.
+fn budgets(options: &OrbOptions) -> Vec<usize> {
+    let shares: Vec<f32> =
+        (0..options.levels).map(|level| options.scale_factor.powi(-(level as i32))).collect();
+    let total: f32 = shares.iter().sum();
+    let mut left = options.max_features;
+    let mut budgets = Vec::with_capacity(shares.len());
+    for (level, share) in shares.iter().enumerate() {
+        let rounded = (options.max_features as f32 * share / total).round() as usize;
+        let budget = if level + 1 == shares.len() { left } else { rounded.min(left) };
+        left -= budget;
+        budgets.push(budget);
     }
-
-    fn extract_level(&self, level: &GreyImage, scale: f32, budget: usize, features: &mut Features) {
-        let corners = detection::detect(level, &self.options, budget);
-        if corners.is_empty() {
-            return;
-        }
-        let blurred = kernel::blur_7x7(level);
-        for Corner { x, y, response } in corners {
-            let angle_radians = self.centroid.angle_radians(level, x, y);
-            features.descriptors.push(brief::describe(&blurred, x, y, angle_radians));
-            features.keypoints.push(Keypoint {
-                point: Point { x: in_frame(x, scale), y: in_frame(y, scale) },
-                scale,
-                angle_radians,
-                response,
-            });
-        }
-    }
+    budgets
 }
 
 /// A level's pixel coordinate in the frame; pixel centres lie half a pixel in.
@@ -159,7 +164,7 @@ mod tests {
 
     #[test]
     fn flat_and_tiny_frames_have_no_features() {
-        let extractor = OrbExtractor::new(OrbOptions::default());
+        let mut extractor = OrbExtractor::new(OrbOptions::default());
         assert!(extractor.extract(&GreyImage::new(640, 480)).is_empty());
         assert!(extractor.extract(&GreyImage::new(1, 1)).is_empty());
     }
@@ -167,7 +172,7 @@ mod tests {
     #[test]
     fn a_shifted_frame_keeps_the_descriptors_of_its_finest_level() {
         let options = OrbOptions { max_features: 100_000, levels: 1, ..OrbOptions::default() };
-        let (wide, extractor) = (textured(440, 320), OrbExtractor::new(options));
+        let (wide, mut extractor) = (textured(440, 320), OrbExtractor::new(options));
         let crop = |left: usize| {
             let rows = (0..320).flat_map(|y| wide.row(y)[left..left + 400].to_vec()).collect();
             GreyImage::from_pixels(400, 320, rows).unwrap()

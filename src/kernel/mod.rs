@@ -5,14 +5,17 @@
 
 mod blur;
 mod difference_hash;
+mod dispatch;
 mod hamming;
+mod lanes;
 mod prefetch;
 mod resize;
 mod segment;
 
-pub use blur::blur_7x7;
+pub use blur::Blur;
 pub use difference_hash::difference_hash;
+pub(crate) use dispatch::for_every_processor;
 pub use hamming::{hamming, nearest};
 pub use prefetch::prefetch;
-pub use resize::resize_bilinear;
-pub use segment::corner_scores;
+pub use resize::Resizer;
+pub use segment::{corner_scores, local_maxima};

@@ -1,53 +1,176 @@
 //! Bilinear resize of grey images, for the levels of the pyramid.
 
+use super::dispatch::for_every_processor;
 use crate::raster::GreyImage;
 
 /// Weights are fixed-point numbers with this many fractional bits.
 const FRACTION_BITS: u32 = 11;
-const ONE: u32 = 1 << FRACTION_BITS;
+const ONE: i32 = 1 << FRACTION_BITS;
+/// Half of what a grey value counts once it was weighted along both axes.
+const HALF: i32 = 1 << (2 * FRACTION_BITS - 1);
+/// Pixels of a row that are made at a time.
+const LANES: usize = 16;
+/// Of how many pixels each of them is made, where a level is a little smaller than the one before.
+const USUAL_DEPTH: usize = 5;
 
-/// Where an output pixel takes its value: two neighbours and the weight of the second.
+/// Resizes images from one size to another, again and again.
+#[derive(Debug, Default)]
+pub struct Resizer {
+    rows: Vec<Tap>,
+    columns: Columns,
+    /// A row between two of the image, with room for [`LANES`] more at each end.
+    between: Vec<i32>,
+    /// Width and height before and after.
+    sizes: [(usize, usize); 2],
+}
+
+impl Resizer {
+    /// Makes `resized`, which says the size, what `image` is after bilinear interpolation between pixel centres.
+    ///
+    /// Meant for factors near one, as between pyramid levels: a strong reduction would alias.
+    pub fn resize_bilinear(&mut self, image: &GreyImage, resized: &mut GreyImage) {
+        let sizes = [image, resized].map(|image| (image.width(), image.height()));
+        if sizes[0] == sizes[1] {
+            return resized.pixels_mut().copy_from_slice(image.pixels());
+        }
+        if !image.pixels().is_empty() && !resized.pixels().is_empty() {
+            self.fit(sizes);
+            resize(self, image, resized);
+        }
+    }
+
+    /// Prepares for images of these sizes, if it is not prepared already.
+    fn fit(&mut self, sizes: [(usize, usize); 2]) {
+        if self.sizes == sizes {
+            return;
+        }
+        let [(from_width, from_height), (to_width, to_height)] = sizes;
+        self.rows = taps(from_height, to_height);
+        self.columns = Columns::new(&taps(from_width, to_width));
+        self.between = vec![0; self.columns.room(from_width)];
+        self.sizes = sizes;
+    }
+}
+
+/// Where a pixel takes its value: two neighbours and the weight of the second.
+#[derive(Clone, Copy, Debug)]
 struct Tap {
     first: usize,
     second: usize,
-    weight: u32,
-}
-
-/// `image` resized to `width` × `height` by bilinear interpolation between pixel centres.
-///
-/// Meant for factors near one, as between pyramid levels: a strong reduction would alias.
-#[must_use]
-pub fn resize_bilinear(image: &GreyImage, width: usize, height: usize) -> GreyImage {
-    let columns = taps(image.width(), width);
-    let rows = taps(image.height(), height);
-    let mut resized = GreyImage::new(width, height);
-    for (y, row) in rows.iter().enumerate() {
-        let (upper, lower) = (image.row(row.first), image.row(row.second));
-        for (pixel, column) in resized.row_mut(y).iter_mut().zip(&columns) {
-            let top = mix(upper[column.first], upper[column.second], column.weight);
-            let bottom = mix(lower[column.first], lower[column.second], column.weight);
-            let value = top * (ONE - row.weight) + bottom * row.weight;
-            *pixel = ((value + (1 << (2 * FRACTION_BITS - 1))) >> (2 * FRACTION_BITS)) as u8;
-        }
-    }
-    resized
-}
-
-fn mix(first: u8, second: u8, weight: u32) -> u32 {
-    u32::from(first) * (ONE - weight) + u32::from(second) * weight
+    weight: i32,
 }
 
 fn taps(from: usize, to: usize) -> Vec<Tap> {
     let last = from.saturating_sub(1);
-    (0..to)
-        .map(|index| {
-            let centre = (index as f64 + 0.5) * from as f64 / to as f64 - 0.5;
-            let clamped = centre.clamp(0.0, last as f64);
-            let first = clamped as usize;
-            let weight = ((clamped - first as f64) * f64::from(ONE)).round() as u32;
-            Tap { first, second: (first + 1).min(last), weight }
-        })
-        .collect()
+    let tap = |index| {
+        let centre = (index as f64 + 0.5) * from as f64 / to as f64 - 0.5;
+        let clamped = centre.clamp(0.0, last as f64);
+        let first = clamped as usize;
+        let weight = ((clamped - first as f64) * f64::from(ONE)).round() as i32;
+        Tap { first, second: (first + 1).min(last), weight }
+    };
+    (0..to).map(tap).collect()
+}
+
+/// The taps of a row, so that several pixels can be made at a time: pixel i of a few takes its value from those that
+/// begin i after their start, of which most count nothing.
+#[derive(Debug, Default)]
+struct Columns {
+    /// Where the pixels begin, in a row with [`LANES`] in front.
+    starts: Vec<usize>,
+    /// How many a pixel is made of.
+    depth: usize,
+    /// What each counts for each pixel, `depth` for every start.
+    weights: Vec<[i32; LANES]>,
+}
+
+impl Columns {
+    fn new(taps: &[Tap]) -> Self {
+        let start = |taps: &[Tap]| {
+            let starts = taps.iter().enumerate().map(|(lane, tap)| LANES + tap.first - lane);
+            starts.min().unwrap_or_default()
+        };
+        let starts: Vec<usize> = taps.chunks(LANES).map(start).collect();
+        let places = taps.chunks(LANES).zip(&starts).flat_map(|(taps, start)| {
+            let place = move |(lane, tap): (usize, &Tap)| (lane, LANES + tap.first - lane - start, *tap);
+            taps.iter().enumerate().map(place)
+        });
+        let places: Vec<(usize, usize, Tap)> = places.collect();
+        let depth =
+            places.iter().map(|&(_, offset, _)| offset + 2).max().unwrap_or_default().max(USUAL_DEPTH);
+        let mut weights = vec![[0; LANES]; starts.len() * depth];
+        for (pixel, &(lane, offset, tap)) in places.iter().enumerate() {
+            let weights = &mut weights[pixel / LANES * depth..];
+            weights[offset][lane] += ONE - tap.weight;
+            weights[offset + tap.second - tap.first][lane] += tap.weight;
+        }
+        Self { starts, depth, weights }
+    }
+
+    /// Values that a row of so many pixels needs room for.
+    fn room(&self, width: usize) -> usize {
+        let last = self.starts.iter().max().map_or(0, |start| start + self.depth + LANES);
+        last.max(LANES + width)
+    }
+}
+
+for_every_processor! {
+    fn resize(resizer: &mut Resizer, image: &GreyImage, resized: &mut GreyImage) = resize_rows
+}
+
+#[inline(always)]
+fn resize_rows(resizer: &mut Resizer, image: &GreyImage, resized: &mut GreyImage) {
+    let Resizer { columns, rows, between, .. } = resizer;
+    for (y, row) in rows.iter().enumerate() {
+        let values = &mut between[LANES..LANES + image.width()];
+        mix_rows((image.row(row.first), image.row(row.second)), row.weight, values);
+        let pixels = resized.row_mut(y).chunks_mut(LANES).zip(&columns.starts);
+        // The same twice: of weights whose number is known the sum needs no loop.
+        if columns.depth == USUAL_DEPTH {
+            let weights = columns.weights.as_chunks::<USUAL_DEPTH>().0;
+            for ((pixels, &start), weights) in pixels.zip(weights) {
+                make(pixels, &between[start..], weights);
+            }
+        } else {
+            let weights = columns.weights.chunks_exact(columns.depth);
+            for ((pixels, &start), weights) in pixels.zip(weights) {
+                make(pixels, &between[start..], weights);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn mix_rows((upper, lower): (&[u8], &[u8]), weight: i32, values: &mut [i32]) {
+    for ((value, &upper), &lower) in values.iter_mut().zip(upper).zip(lower) {
+        *value = i32::from(upper) * (ONE - weight) + i32::from(lower) * weight;
+    }
+}
+
+/// Makes up to [`LANES`] pixels of as many values, and those that begin one after them, and so on.
+#[inline(always)]
+fn make(pixels: &mut [u8], values: &[i32], weights: &[[i32; LANES]]) {
+    let values = &values[..weights.len() + LANES - 1];
+    let mut sums = [HALF; LANES];
+    for (offset, weights) in weights.iter().enumerate() {
+        let values = &values[offset..offset + LANES];
+        for lane in 0..LANES {
+            sums[lane] += values[lane] * weights[lane];
+        }
+    }
+    match pixels.as_mut_array::<LANES>() {
+        Some(pixels) => *pixels = rounded(&sums),
+        None => pixels.copy_from_slice(&rounded(&sums)[..pixels.len()]),
+    }
+}
+
+#[inline(always)]
+fn rounded(sums: &[i32; LANES]) -> [u8; LANES] {
+    let mut rounded = [0; LANES];
+    for lane in 0..LANES {
+        rounded[lane] = (sums[lane] >> (2 * FRACTION_BITS)) as u8;
+    }
+    rounded
 }
 
 #[cfg(test)]
@@ -55,26 +178,74 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn resized(image: &GreyImage, width: usize, height: usize) -> GreyImage {
+        let mut resized = GreyImage::new(width, height);
+        Resizer::default().resize_bilinear(image, &mut resized);
+        resized
+    }
+
+    fn patterned(width: usize, height: usize, step: usize) -> GreyImage {
+        let pixels = (0..width * height).map(|i| (i * step % 256) as u8).collect();
+        GreyImage::from_pixels(width, height, pixels).unwrap()
+    }
+
+    /// Four neighbours, each weighted along both axes, and rounded.
+    fn by_definition(image: &GreyImage, width: usize, height: usize) -> Vec<u8> {
+        let columns = taps(image.width(), width);
+        let pixel = |row: &Tap, column: &Tap| {
+            let along = |y: usize| {
+                let [first, second] = [column.first, column.second].map(|x| i32::from(image.get(x, y)));
+                first * (ONE - column.weight) + second * column.weight
+            };
+            let sum = along(row.first) * (ONE - row.weight) + along(row.second) * row.weight;
+            ((sum + HALF) >> (2 * FRACTION_BITS)) as u8
+        };
+        let rows = taps(image.height(), height);
+        rows.iter().flat_map(|row| columns.iter().map(move |column| pixel(row, column))).collect()
+    }
+
     #[test]
     fn halving_averages_neighbours() {
         let image = GreyImage::from_pixels(4, 2, vec![10, 20, 100, 200, 30, 40, 100, 200]).unwrap();
-        assert_eq!(resize_bilinear(&image, 2, 1).pixels(), &[25, 150]);
+        assert_eq!(resized(&image, 2, 1).pixels(), &[25, 150]);
+    }
+
+    #[test]
+    fn an_image_without_pixels_changes_nothing() {
+        assert_eq!(resized(&GreyImage::new(0, 0), 3, 2), GreyImage::new(3, 2));
+        assert_eq!(resized(&GreyImage::new(4, 4), 0, 2), GreyImage::new(0, 2));
+    }
+
+    #[test]
+    fn what_one_image_left_behind_does_not_show_in_the_next() {
+        let mut resizer = Resizer::default();
+        for (from, to) in [(90, 75), (20, 40), (90, 75), (33, 31)] {
+            let (image, mut resized) = (patterned(from, from, 37), GreyImage::new(to, to));
+            resizer.resize_bilinear(&image, &mut resized);
+            assert_eq!(resized.pixels(), by_definition(&image, to, to));
+        }
     }
 
     proptest! {
         #[test]
-        fn the_same_size_changes_nothing(width in 1..30_usize, height in 1..30_usize, step in 1..255_usize) {
-            let pixels = (0..width * height).map(|i| (i * step % 256) as u8).collect();
-            let image = GreyImage::from_pixels(width, height, pixels).unwrap();
-            prop_assert_eq!(resize_bilinear(&image, width, height), image);
+        fn every_pixel_is_what_the_definition_says(
+            from in (1..70_usize, 1..20_usize), to in (1..90_usize, 1..20_usize), step in 1..255_usize,
+        ) {
+            let image = patterned(from.0, from.1, step);
+            let expected = by_definition(&image, to.0, to.1);
+            let resized = resized(&image, to.0, to.1);
+            prop_assert_eq!(resized.pixels(), &expected);
+            let mut resizer = Resizer::default();
+            resizer.fit([from, to]);
+            let mut plain = GreyImage::new(to.0, to.1);
+            resize_rows(&mut resizer, &image, &mut plain);
+            prop_assert_eq!(plain.pixels(), &expected);
         }
 
         #[test]
-        fn no_pixel_leaves_the_range_of_the_image(width in 1..40_usize, height in 1..40_usize, low in 0..100_u8) {
-            let pixels = (0..20 * 15).map(|i| low + (i * 7 % 60) as u8).collect();
-            let image = GreyImage::from_pixels(20, 15, pixels).unwrap();
-            let resized = resize_bilinear(&image, width, height);
-            prop_assert!(resized.pixels().iter().all(|&pixel| (low..low + 60).contains(&pixel)));
+        fn the_same_size_changes_nothing(width in 1..30_usize, height in 1..30_usize, step in 1..255_usize) {
+            let image = patterned(width, height, step);
+            prop_assert_eq!(resized(&image, width, height), image);
         }
     }
 }

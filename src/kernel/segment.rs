@@ -4,6 +4,10 @@
 //! it are all brighter than the centre by more than t, or all darker. Its score is the largest t at
 //! which it is still one.
 
+use std::ops::Range;
+
+use super::dispatch::for_every_processor;
+use super::lanes::{EachLane, for_lanes, lanes, lanes_mut};
 use crate::raster::GreyImage;
 
 /// The circle of 16 pixels around a candidate, clockwise from the top.
@@ -25,67 +29,175 @@ const CIRCLE: [(isize, isize); 16] = [
     (-2, -2),
     (-1, -3),
 ];
-/// Length of the arc.
-const ARC: usize = 9;
 /// Radius of the circle in pixels.
 const RADIUS: usize = 3;
+for_every_processor! {
+    /// Writes into `scores` the corner score of each pixel of row `y` of `image`: the largest threshold at which it
+    /// passes the FAST-9 test, or 0 where that is below `threshold` or closer than 3 px to the border.
+    pub fn corner_scores(image: &GreyImage, y: usize, threshold: u8, scores: &mut [u8]) = score_row
+}
 
-/// The corner score of every pixel of `image`, row-major: the largest threshold at which the pixel
-/// passes the FAST-9 test, or 0 where that is below `threshold` or closer than 3 px to the border.
-#[must_use]
-pub fn corner_scores(image: &GreyImage, threshold: u8) -> Vec<u8> {
+#[inline(always)]
+fn score_row(image: &GreyImage, y: usize, threshold: u8, scores: &mut [u8]) {
     let (width, height) = (image.width(), image.height());
-    let mut scores = vec![0; width * height];
-    if width <= 2 * RADIUS || height <= 2 * RADIUS {
-        return scores;
+    scores.fill(0);
+    if width > 2 * RADIUS && y >= RADIUS && y + RADIUS < height {
+        let row = |offset: usize| image.row(y + offset - RADIUS);
+        let rows = [row(0), row(1), row(2), row(3), row(4), row(5), row(6)];
+        for_lanes(RADIUS..width - RADIUS, Scores { rows, threshold, scores });
     }
-    let circle = CIRCLE.map(|(dx, dy)| dy * width as isize + dx);
-    let pixels = image.pixels();
-    for y in RADIUS..height - RADIUS {
-        for centre in y * width + RADIUS..(y + 1) * width - RADIUS {
-            let ring = |index: usize| pixels[centre.wrapping_add_signed(circle[index])];
-            if may_be_corner(pixels[centre], threshold, ring) {
-                let score = arc_score(pixels[centre], std::array::from_fn(ring));
-                scores[centre] = if score >= threshold { score } else { 0 };
-            }
-        }
-    }
-    scores
 }
 
-/// An arc of nine covers at least one pixel of each opposite pair; a centre that differs enough
-/// from neither end of some pair, in one direction, cannot be a corner.
-fn may_be_corner(centre: u8, threshold: u8, ring: impl Fn(usize) -> u8) -> bool {
-    let bright = centre.saturating_add(threshold);
-    let dark = centre.saturating_sub(threshold);
-    let mut can_be_brighter = true;
-    let mut can_be_darker = true;
-    for index in [0, 4, 2, 6] {
-        let (one, other) = (ring(index), ring(index + 8));
-        can_be_brighter &= one > bright || other > bright;
-        can_be_darker &= one < dark || other < dark;
-        if !can_be_brighter && !can_be_darker {
-            return false;
-        }
-    }
-    true
+/// What a function of an index answers for each of sixteen, written out: a loop over them would go through memory.
+macro_rules! sixteen {
+    ($of:expr) => {
+        [
+            $of(0),
+            $of(1),
+            $of(2),
+            $of(3),
+            $of(4),
+            $of(5),
+            $of(6),
+            $of(7),
+            $of(8),
+            $of(9),
+            $of(10),
+            $of(11),
+            $of(12),
+            $of(13),
+            $of(14),
+            $of(15),
+        ]
+    };
 }
 
-/// max over arcs of min over the arc of |ring − centre|, less one, in the better direction.
-fn arc_score(centre: u8, ring: [u8; 16]) -> u8 {
-    let difference = ring.map(|pixel| i16::from(pixel) - i16::from(centre));
-    let mut best = 0;
-    for start in 0..16 {
-        let mut brightest_floor = i16::MAX;
-        let mut darkest_floor = i16::MAX;
-        for step in 0..ARC {
-            let value = difference[(start + step) % 16];
-            brightest_floor = brightest_floor.min(value);
-            darkest_floor = darkest_floor.min(-value);
+struct Scores<'a> {
+    /// The middle row and three on each side.
+    rows: [&'a [u8]; 2 * RADIUS + 1],
+    threshold: u8,
+    scores: &'a mut [u8],
+}
+
+impl EachLane for Scores<'_> {
+    #[inline(always)]
+    fn step<const N: usize>(&mut self, x: usize) {
+        let mut windows = self.rows;
+        for window in &mut windows {
+            *window = &window[x - RADIUS..x + N + RADIUS];
         }
-        best = best.max(brightest_floor).max(darkest_floor);
+        let centre = lanes(windows[RADIUS], RADIUS);
+        let pixels = |index: usize| {
+            let (dx, dy) = CIRCLE[index];
+            lanes(windows[RADIUS.wrapping_add_signed(dy)], RADIUS.wrapping_add_signed(dx))
+        };
+        let ring = sixteen!(pixels);
+        if !may_have_corner::<N>(centre, &ring, self.threshold) {
+            return;
+        }
+        let brighter = |index: usize| subtract::<N>(ring[index], centre);
+        let darker = |index: usize| subtract::<N>(centre, ring[index]);
+        let (brighter, darker) = (strongest_arc(&sixteen!(brighter)), strongest_arc(&sixteen!(darker)));
+        let mut scores = [0; N];
+        for lane in 0..N {
+            let largest = brighter[lane].max(darker[lane]).saturating_sub(1);
+            scores[lane] = if largest >= self.threshold { largest } else { 0 };
+        }
+        *lanes_mut(self.scores, x) = scores;
     }
-    (best - 1).max(0) as u8
+}
+
+/// An arc of nine covers at least one pixel of each opposite pair: where both of some pair are too much like the
+/// centre, there is no corner.
+#[inline(always)]
+fn may_have_corner<const N: usize>(centre: &[u8; N], ring: &[&[u8; N]; 16], threshold: u8) -> bool {
+    let mut most = 0;
+    for lane in 0..N {
+        let pair = |index: usize| (ring[index][lane], ring[index + 8][lane]);
+        let ((a, b), (c, d)) = (pair(0), pair(4));
+        let brighter = a.max(b).min(c.max(d)).saturating_sub(centre[lane]);
+        let darker = centre[lane].saturating_sub(a.min(b).max(c.min(d)));
+        most = brighter.max(darker).max(most);
+    }
+    most > threshold
+}
+
+/// How much brighter `a` is than `b`.
+#[inline(always)]
+fn subtract<const N: usize>(a: &[u8; N], b: &[u8; N]) -> [u8; N] {
+    let mut difference = [0; N];
+    for lane in 0..N {
+        difference[lane] = a[lane].saturating_sub(b[lane]);
+    }
+    difference
+}
+
+/// The largest, over all arcs of nine around the ring, of the smallest difference on the arc.
+///
+/// Arcs that begin at 2k and 2k + 1 share eight pixels, so that eight minima of eight are enough for sixteen arcs.
+#[inline(always)]
+fn strongest_arc<const N: usize>(differences: &[[u8; N]; 16]) -> [u8; N] {
+    let mut strongest = [0; N];
+    for lane in 0..N {
+        let at = |index: usize| differences[index % 16][lane];
+        let two = |index: usize| at(index).min(at(index + 1));
+        let four = |index: usize| two(index).min(two(index + 2));
+        let mut best = 0;
+        for start in (0..16).step_by(2) {
+            let shared = four(start + 1).min(four(start + 5));
+            best = shared.min(at(start).max(at(start + 9))).max(best);
+        }
+        strongest[lane] = best;
+    }
+    strongest
+}
+
+for_every_processor! {
+    /// Writes into `is_maximum`, for each of `columns`, whether its score in the middle one of three `rows` is positive
+    /// and beats those of its eight neighbours; of equal ones the first wins, row by row.
+    pub fn local_maxima(rows: [&[u8]; 3], columns: Range<usize>, is_maximum: &mut [bool]) = find_maxima
+}
+
+#[inline(always)]
+fn find_maxima(rows: [&[u8]; 3], columns: Range<usize>, is_maximum: &mut [bool]) {
+    is_maximum.fill(false);
+    for_lanes(columns, Maxima { rows, is_maximum });
+}
+
+struct Maxima<'a> {
+    rows: [&'a [u8]; 3],
+    is_maximum: &'a mut [bool],
+}
+
+impl EachLane for Maxima<'_> {
+    #[inline(always)]
+    fn step<const N: usize>(&mut self, x: usize) {
+        let [above, row, below] = self.rows;
+        let scores = lanes::<N>(row, x);
+        if scores.iter().fold(0, |any, score| any | score) == 0 {
+            return;
+        }
+        let before = [
+            lanes::<N>(above, x - 1),
+            lanes::<N>(above, x),
+            lanes::<N>(above, x + 1),
+            lanes::<N>(row, x - 1),
+        ];
+        let after = [
+            lanes::<N>(row, x + 1),
+            lanes::<N>(below, x - 1),
+            lanes::<N>(below, x),
+            lanes::<N>(below, x + 1),
+        ];
+        let mut wins = [false; N];
+        for lane in 0..N {
+            let score = scores[lane];
+            let before = before[0][lane].max(before[1][lane]).max(before[2][lane]).max(before[3][lane]);
+            let after = after[0][lane].max(after[1][lane]).max(after[2][lane]).max(after[3][lane]);
+            wins[lane] = (score > before) & (score >= after);
+        }
+        self.is_maximum[x..x + N].copy_from_slice(&wins);
+    }
 }
 
 #[cfg(test)]
@@ -101,32 +213,62 @@ mod tests {
             .map(|&(dx, dy)| i32::from(image.get((x as isize + dx) as usize, (y as isize + dy) as usize)))
             .collect();
         (0..16).any(|start| {
-            let arc = || (start..start + ARC).map(|index| ring[index % 16]);
+            let arc = || (start..start + 9).map(|index| ring[index % 16]);
             arc().all(|pixel| pixel > centre + threshold) || arc().all(|pixel| pixel < centre - threshold)
+        })
+    }
+
+    /// The largest threshold at which a pixel is a corner, if it is at least `threshold`.
+    fn score(image: &GreyImage, x: usize, y: usize, threshold: u8) -> u8 {
+        let is_inside = |at: usize, size: usize| at >= RADIUS && at + RADIUS < size;
+        if !is_inside(x, image.width()) || !is_inside(y, image.height()) {
+            return 0;
+        }
+        let passes = |&threshold: &u8| is_corner(image, x, y, i32::from(threshold));
+        (threshold..=u8::MAX).rev().find(passes).unwrap_or(0)
+    }
+
+    /// Narrow images are worked on pixel by pixel, wide ones many at a time.
+    fn images() -> impl Strategy<Value = GreyImage> {
+        let pixel = prop_oneof![0..40_u8, 200..=255_u8];
+        (1..80_usize, 1..9_usize).prop_flat_map(move |(width, height)| {
+            let pixels = proptest::collection::vec(pixel.clone(), width * height);
+            pixels.prop_map(move |pixels| GreyImage::from_pixels(width, height, pixels).unwrap())
         })
     }
 
     proptest! {
         #[test]
-        fn the_score_is_the_largest_threshold_that_still_passes(
-            pixels in proptest::collection::vec(prop_oneof![0..40_u8, 200..=255_u8], 9 * 8),
-            threshold in 1..60_u8,
-        ) {
-            let image = GreyImage::from_pixels(9, 8, pixels).unwrap();
-            let scores = corner_scores(&image, threshold);
-            for y in 3..5 {
-                for x in 3..6 {
-                    let largest = (1..=255).rev().find(|&t| is_corner(&image, x, y, t)).unwrap_or(0);
-                    let expected = if largest >= i32::from(threshold) { largest } else { 0 };
-                    prop_assert_eq!(i32::from(scores[y * 9 + x]), expected);
-                }
+        fn the_score_is_the_largest_threshold_that_still_passes(image in images(), threshold in 1..60_u8) {
+            for y in 0..image.height() {
+                let (mut scores, mut plain) = (vec![9; image.width()], vec![9; image.width()]);
+                corner_scores(&image, y, threshold, &mut scores);
+                score_row(&image, y, threshold, &mut plain);
+                let expected: Vec<u8> = (0..image.width()).map(|x| score(&image, x, y, threshold)).collect();
+                prop_assert_eq!(&scores, &expected);
+                prop_assert_eq!(&plain, &expected);
             }
         }
-    }
 
-    #[test]
-    fn images_too_small_for_the_circle_have_no_corners() {
-        assert!(corner_scores(&GreyImage::new(6, 6), 7).iter().all(|&score| score == 0));
-        assert!(corner_scores(&GreyImage::new(0, 0), 7).is_empty());
+        #[test]
+        fn a_maximum_beats_what_comes_before_it_and_is_not_beaten_by_what_comes_after(
+            scores in proptest::collection::vec(0..4_u8, 3 * 90), start in 1..50_usize, count in 0..39_usize,
+        ) {
+            let rows: Vec<&[u8]> = scores.chunks(90).collect();
+            let is_maximum = |x: usize| {
+                let others = (0..9).filter(|&index| index != 4);
+                let (before, after): (Vec<usize>, Vec<usize>) = others.partition(|&index| index < 4);
+                let at = |index: &usize| rows[index / 3][x + index % 3 - 1];
+                let score = rows[1][x];
+                score > 0 && before.iter().all(|i| at(i) < score) && after.iter().all(|i| at(i) <= score)
+            };
+            let columns = start..start + count;
+            let expected: Vec<bool> = (0..90).map(|x| columns.contains(&x) && is_maximum(x)).collect();
+            let (mut found, mut plain) = (vec![true; 90], vec![true; 90]);
+            local_maxima([rows[0], rows[1], rows[2]], columns.clone(), &mut found);
+            find_maxima([rows[0], rows[1], rows[2]], columns, &mut plain);
+            prop_assert_eq!(&found, &expected);
+            prop_assert_eq!(&plain, &expected);
+        }
     }
 }

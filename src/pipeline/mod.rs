@@ -79,7 +79,7 @@ impl Pipeline {
     /// # Errors
     /// If a sink refuses a record or no thread can be had. A map that fails ends nothing: the watcher hears of it.
     pub fn run(self, stop: &AtomicBool, watcher: &dyn Watcher) -> Result<RunSummary, PipelineError> {
-        let Self { source, extractor, mut model, model_folder, recogniser, sinks } = self;
+        let Self { source, mut extractor, mut model, model_folder, recogniser, sinks } = self;
         let kept = model_folder.filter(|_| recogniser.has_cnn()).zip(model.as_ref());
         let kept = kept.map(|(folder, model)| ModelKeeper::new(folder, model.card(), watcher));
         let (keeper, desk, exchange) = match kept {
@@ -96,7 +96,7 @@ impl Pipeline {
         thread::scope(|scope| {
             let delivery = stages::named("sinks").spawn_scoped(scope, || stages::deliver(sinks, records))?;
             let perception =
-                Perception::new(&extractor, &vocabularies, model.as_mut()).replacing_by(exchange);
+                Perception::new(&mut extractor, &vocabularies, model.as_mut()).replacing_by(exchange);
             let perceive = |visit: stages::Visit<'_>| perception.run(source, stop, watcher, visit);
             let (keeping, ended) = bounded(0);
             if let Some((syncer, interval)) = upkeep {

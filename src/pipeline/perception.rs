@@ -54,7 +54,7 @@ impl PerceptionLatency {
 /// What sees: features with their words, and the CNN where there is one.
 pub struct Perception<'a> {
     /// Finds features.
-    pub extractor: &'a OrbExtractor,
+    pub extractor: &'a mut OrbExtractor,
     /// Knows their words, in every light.
     pub vocabularies: &'a VocabularySet,
     /// The CNN, if there is one.
@@ -67,7 +67,7 @@ impl<'a> Perception<'a> {
     /// What finds features by `extractor` and their words in `vocabularies`, and describes frames by `model`.
     #[must_use]
     pub fn new(
-        extractor: &'a OrbExtractor,
+        extractor: &'a mut OrbExtractor,
         vocabularies: &'a VocabularySet,
         model: Option<&'a mut DescriptorModel>,
     ) -> Self {

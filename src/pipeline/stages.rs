@@ -84,7 +84,7 @@ pub(super) fn capture(
 
 /// Extracts and quantises the features of every frame.
 pub(super) fn extract(
-    extractor: &OrbExtractor,
+    extractor: &mut OrbExtractor,
     vocabularies: &VocabularySet,
     captured: Receiver<Captured>,
     to_recognition: Sender<Featured>,

@@ -29,8 +29,8 @@ impl Look {
         Self { features, light, quantised, appearance }
     }
 
-    /// Whether features were looked for, and fewer found than a keyframe keeps: the frame is blurred, dark or covered, or
-    /// there is little to be seen.
+    /// Whether features were looked for, and fewer found than a keyframe keeps: the frame is blurred, dark or covered,
+    /// or there is little to be seen.
     pub(super) fn is_poor(&self, keyframe_features: usize) -> bool {
         self.features.width_px > 0 && self.features.len() < keyframe_features
     }

@@ -54,7 +54,7 @@ pub enum Decision {
     SamePlace,
     /// Nothing matched: a place was founded.
     NewPlace,
-    /// Nothing matched, and the map is read-only or a single frame is not enough: after a known place, or if it is poor.
+    /// Nothing matched, and the map is read-only or a single frame is not enough: after a known place, or a poor one.
     Unknown,
 }
 

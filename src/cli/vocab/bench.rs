@@ -105,7 +105,7 @@ fn first_word(file: &Path, descriptor: &Descriptor) -> Result<(), VocabularyErro
 /// The first descriptors of a source, [`DESCRIPTORS`] a set, at most [`LOOK_UPS`] sets; repeated if they do not fill
 /// one. Frames that cannot be read are named and skipped.
 fn descriptor_sets(images: &str) -> anyhow::Result<(Vec<Vec<Descriptor>>, Outcome)> {
-    let extractor = OrbExtractor::new(OrbOptions::default());
+    let mut extractor = OrbExtractor::new(OrbOptions::default());
     let mut source = source::open(images, None)?;
     let mut outcome = Outcome::Done;
     let mut descriptors = Vec::new();

@@ -40,9 +40,7 @@ pub(super) fn extract(names: &[String], out: &Path, stop: &AtomicBool) -> anyhow
     let progress = progress_bar(announced.into_iter().sum(), "frames", ProgressDrawTarget::stderr());
     let mut pictures = names.iter().flat_map(|name| pictures(name)).inspect(|_| progress.inc(1));
     (0..known).take_while(|_| !stop.load(Ordering::Relaxed)).for_each(|_| drop(pictures.next()));
-    let extraction =
-        Extraction { extractor: OrbExtractor::new(OrbOptions::default()), progress: &progress, stop };
-    extraction.run(pictures, &mut corpus)?;
+    Extraction { progress: &progress, stop }.run(pictures, &mut corpus)?;
     progress.finish_and_clear();
     if stop.load(Ordering::Relaxed) {
         return Err(explained(VocabularyError::Interrupted, &corpus, out));
@@ -105,7 +103,6 @@ fn next_batch(pictures: &mut impl Iterator<Item = Read>, most: usize) -> Vec<Rea
 }
 
 struct Extraction<'a> {
-    extractor: OrbExtractor,
     progress: &'a ProgressBar,
     stop: &'a AtomicBool,
 }
@@ -117,11 +114,17 @@ impl Extraction<'_> {
         mut pictures: impl Iterator<Item = Read> + Send,
         corpus: &mut TrainingFile,
     ) -> anyhow::Result<()> {
+        let extractor = || OrbExtractor::new(OrbOptions::default());
         let most = FRAMES_PER_CORE * rayon::current_num_threads();
         let mut batch = next_batch(&mut pictures, most);
         while !batch.is_empty() && !self.stop.load(Ordering::Relaxed) {
             let (images, next) = rayon::join(
-                || batch.par_iter().map(|picture| self.image(picture)).collect::<Vec<_>>(),
+                || {
+                    batch
+                        .par_iter()
+                        .map_init(extractor, |extractor, picture| self.image(extractor, picture))
+                        .collect::<Vec<_>>()
+                },
                 || next_batch(&mut pictures, most),
             );
             for image in images {
@@ -132,11 +135,11 @@ impl Extraction<'_> {
         Ok(())
     }
 
-    fn image(&self, picture: &Read) -> Option<CorpusImage> {
+    fn image(&self, extractor: &mut OrbExtractor, picture: &Read) -> Option<CorpusImage> {
         match picture {
             Ok(grey) => Some(CorpusImage {
                 mean_luminance: grey.mean_luminance(),
-                descriptors: self.extractor.extract(grey).descriptors,
+                descriptors: extractor.extract(grey).descriptors,
             }),
             Err(error) => {
                 self.progress.suspend(|| eprintln!("loci: skipped: {error}"));

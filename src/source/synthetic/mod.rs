@@ -249,7 +249,7 @@ mod tests {
 
     #[test]
     fn noon_frames_are_full_of_features() {
-        let extractor = OrbExtractor::new(OrbOptions::default());
+        let mut extractor = OrbExtractor::new(OrbOptions::default());
         for world in ["street", "corridor"] {
             let source = open(&format!("{world}?light=noon&laps=1&frames=9"));
             for i in 0..9 {
