@@ -135,19 +135,6 @@ impl RgbImage {
     pub fn row(&self, y: usize) -> &[u8] {
         &self.pixels[y * self.width * 3..(y + 1) * self.width * 3]
     }
-
-    /// Luma by ITU-R BT.601 in 8-bit fixed point: (77 R + 150 G + 29 B + 128) / 256.
-    #[must_use]
-    pub fn to_grey(&self) -> GreyImage {
-        let luma = |rgb: &[u8]| {
-            ((77 * u32::from(rgb[0]) + 150 * u32::from(rgb[1]) + 29 * u32::from(rgb[2]) + 128) >> 8) as u8
-        };
-        GreyImage {
-            width: self.width,
-            height: self.height,
-            pixels: self.pixels.chunks_exact(3).map(luma).collect(),
-        }
-    }
 }
 
 #[cfg(test)]
@@ -159,11 +146,5 @@ mod tests {
         assert!(GreyImage::from_pixels(3, 2, vec![0; 5]).is_none());
         assert!(RgbImage::from_pixels(3, 2, vec![0; 6]).is_none());
         assert!(RgbImage::from_pixels(usize::MAX, 2, vec![]).is_none());
-    }
-
-    #[test]
-    fn luma_of_grey_is_itself() {
-        let grey = GreyImage::from_pixels(4, 1, vec![0, 1, 128, 255]).unwrap();
-        assert_eq!(RgbImage::from_grey(&grey).to_grey(), grey);
     }
 }

@@ -11,6 +11,7 @@
 
 use super::card::InputCard;
 use super::error::CnnError;
+use crate::kernel::for_every_processor;
 use crate::raster::RgbImage;
 
 /// Turns images into tensors; keeps its buffers and tables from frame to frame.
@@ -52,21 +53,10 @@ impl Preprocessor {
         self.rows.prepare(height_px, self.input.height_px);
         self.row.resize(3 * width_px, 0.0);
         for y in 0..self.input.height_px {
-            self.blend_rows(image, y);
+            blend_rows(image, self.rows.of(y), &mut self.row);
             self.write_row(y);
         }
         Ok(&self.tensor)
-    }
-
-    /// Vertical pass: row `y` of the output, still as wide as the source.
-    fn blend_rows(&mut self, image: &RgbImage, y: usize) {
-        let (first, weights) = self.rows.of(y);
-        self.row.fill(0.0);
-        for (source_y, &weight) in (first..).zip(weights) {
-            for (sum, &value) in self.row.iter_mut().zip(image.row(source_y)) {
-                *sum += weight * f32::from(value);
-            }
-        }
     }
 
     /// Horizontal pass over that row, into row `y` of the three planes.
@@ -85,6 +75,21 @@ impl Preprocessor {
             }
             let at = y * width_px + x;
             [red[at], green[at], blue[at]] = sums.map(|value| (value - mean) * scale);
+        }
+    }
+}
+
+for_every_processor! {
+    /// Vertical pass: a row of the output, still as wide as the source.
+    fn blend_rows(image: &RgbImage, rows: (usize, &[f32]), row: &mut [f32]) = blend
+}
+
+#[inline(always)]
+fn blend(image: &RgbImage, (first, weights): (usize, &[f32]), row: &mut [f32]) {
+    row.fill(0.0);
+    for (source_y, &weight) in (first..).zip(weights) {
+        for (sum, &value) in row.iter_mut().zip(image.row(source_y)) {
+            *sum += weight * f32::from(value);
         }
     }
 }

@@ -1,8 +1,8 @@
 //! FAST corners of one pyramid level, spread over the image.
 //!
 //! The level is cut into cells. A cell takes corners at the threshold of plain FAST; where that
-//! leaves it empty, at a lower one. Cells then give up their corners in turn, best first, so that no
-//! textured corner of the image uses up the whole budget.
+//! leaves it empty, at a lower one. Half of what is kept the cells give up in turn, best first, so that no textured
+//! corner of the image uses up the whole budget; the other half are the best of the rest, which are found again surest.
 
 use std::cmp::Reverse;
 
@@ -36,6 +36,7 @@ pub(super) struct CornerDetector {
     scores: [Vec<u8>; 3],
     is_maximum: Vec<bool>,
     cells: Vec<Vec<Corner>>,
+    left_over: Vec<Corner>,
 }
 
 impl CornerDetector {
@@ -49,7 +50,7 @@ impl CornerDetector {
     ) {
         self.fill_cells(level, options);
         corners.clear();
-        self.take_in_turn(budget, corners);
+        self.choose(budget, corners);
     }
 
     fn fill_cells(&mut self, level: &GreyImage, options: &OrbOptions) {
@@ -76,29 +77,40 @@ impl CornerDetector {
         }
     }
 
-    /// The best corner of every cell, then every second-best, … until the budget is used up.
-    fn take_in_turn(&mut self, budget: usize, corners: &mut Vec<Corner>) {
-        let turns = self.turns(budget);
+    /// Half of the budget is for the best corner of every cell, then every second-best, and so on; the other half for
+    /// the best of those that are left, wherever they are.
+    fn choose(&mut self, budget: usize, corners: &mut Vec<Corner>) {
+        let spread = budget.div_ceil(2);
+        let turns = self.turns(spread);
         for cell in &mut self.cells {
-            if cell.len() > turns {
-                cell.select_nth_unstable_by_key(turns, Corner::order);
-                cell.truncate(turns);
+            let known = turns.min(cell.len());
+            if known < cell.len() {
+                cell.select_nth_unstable_by_key(known, Corner::order);
             }
-            cell.sort_unstable_by_key(Corner::order);
+            cell[..known].sort_unstable_by_key(Corner::order);
         }
         for turn in 0..turns {
             let first = corners.len();
             corners.extend(self.cells.iter().filter_map(|cell| cell.get(turn)));
             corners[first..].sort_unstable_by_key(Corner::order);
         }
-        corners.truncate(budget);
+        self.left_over.clear();
+        self.left_over.extend(corners.drain(spread.min(corners.len())..));
+        self.left_over.extend(self.cells.iter().filter_map(|cell| cell.get(turns..)).flatten());
+        let room = budget - corners.len();
+        if self.left_over.len() > room {
+            self.left_over.select_nth_unstable_by_key(room, Corner::order);
+            self.left_over.truncate(room);
+        }
+        self.left_over.sort_unstable_by_key(Corner::order);
+        corners.append(&mut self.left_over);
     }
 
-    /// After how many turns the budget is used up, or no cell has any more.
-    fn turns(&self, budget: usize) -> usize {
+    /// After how many turns so many corners are taken, or no cell has any more.
+    fn turns(&self, count: usize) -> usize {
         let most = self.cells.iter().map(Vec::len).max().unwrap_or_default();
         let taken_after = |turns| self.cells.iter().map(|cell| cell.len().min(turns)).sum::<usize>();
-        (0..most).find(|&turns| taken_after(turns) >= budget).unwrap_or(most)
+        (0..most).find(|&turns| taken_after(turns) >= count).unwrap_or(most)
     }
 }
 
@@ -126,6 +138,7 @@ fn add(cell: &mut Vec<Corner>, corner: Corner, threshold: u8) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     fn detect(level: &GreyImage, options: &OrbOptions, budget: usize) -> Vec<Corner> {
         let mut corners = Vec::new();
@@ -162,15 +175,41 @@ mod tests {
     }
 
     #[test]
-    fn a_small_budget_is_spread_over_the_cells() {
+    fn half_of_a_budget_is_spread_over_the_cells_and_half_goes_to_the_best_of_the_rest() {
         let image =
             squares(160, &[(40, 40, 255), (56, 56, 255), (110, 40, 60), (40, 110, 60), (110, 110, 60)]);
-        let corners = detect(&image, &OrbOptions::default(), 4);
-        assert_eq!(corners.len(), 4);
-        let mut cells: Vec<_> =
-            corners.iter().map(|corner| (corner.x / CELL_PX, corner.y / CELL_PX)).collect();
-        cells.dedup();
-        assert_eq!(cells.len(), 4, "{corners:?}");
+        let corners = detect(&image, &OrbOptions::default(), 8);
+        let cell = |corner: &Corner| (corner.x / CELL_PX, corner.y / CELL_PX);
+        let mut spread: Vec<_> = corners[..4].iter().map(cell).collect();
+        spread.sort_unstable();
+        assert_eq!(spread, [(1, 1), (1, 3), (3, 1), (3, 3)], "{corners:?}");
+        assert!(corners[4..].iter().all(|corner| cell(corner) == (1, 1)), "{corners:?}");
+        assert_eq!(corners.len(), 8);
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_chosen_is_what_sorting_everything_chooses(
+            found in proptest::collection::hash_set((0..9_usize, 0..40_usize, 1..60_u8), 0..200),
+            budget in 0..150_usize,
+        ) {
+            let mut detector = CornerDetector { cells: vec![Vec::new(); 9], ..CornerDetector::default() };
+            for (cell, x, response) in found {
+                detector.cells[cell].push(Corner { x, y: cell, response });
+            }
+            let mut cells = detector.cells.clone();
+            cells.iter_mut().for_each(|cell| cell.sort_by_key(Corner::order));
+            let ranked = cells.iter().flat_map(|cell| cell.iter().enumerate());
+            let mut all: Vec<(usize, Corner)> = ranked.map(|(rank, &corner)| (rank, corner)).collect();
+            all.sort_by_key(|(rank, corner)| (*rank, corner.order()));
+            let mut rest = all.split_off(budget.div_ceil(2).min(all.len()));
+            rest.sort_by_key(|(_, corner)| corner.order());
+            rest.truncate(budget - all.len());
+            let expected: Vec<Corner> = all.into_iter().chain(rest).map(|(_, corner)| corner).collect();
+            let mut chosen = Vec::new();
+            detector.choose(budget, &mut chosen);
+            prop_assert_eq!(chosen, expected);
+        }
     }
 
     #[test]

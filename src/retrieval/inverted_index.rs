@@ -25,6 +25,8 @@ pub struct Retrieved {
 /// Postings that wait at most, while many images are added in a row: 12 bytes each, and as many again while they are
 /// sorted.
 const MOST_PENDING: usize = if cfg!(test) { 50 } else { 1 << 19 };
+/// Scores that are looked at together: few documents are better than the best ones so far.
+const SCORES_AT_ONCE: usize = 64;
 /// Share of the documents, and fewest, that may be removed before their postings are swept out.
 const SWEEP_SHARE: usize = 8;
 const FEWEST_SWEPT: usize = 64;
@@ -144,24 +146,25 @@ impl InvertedIndex {
     ) -> FixedVec<Retrieved, MAX_RETRIEVED> {
         self.settle();
         let accumulators = self.accumulators.as_mut_slice();
-        let mut touched = Vec::new();
         for (word, weight) in weights(bow) {
             for posting in self.postings.get(word) {
-                let accumulator = &mut accumulators[posting.document as usize];
-                if *accumulator == 0.0 {
-                    touched.push(posting.document);
-                }
-                *accumulator += weight.min(posting.weight);
+                accumulators[posting.document as usize] += weight.min(posting.weight);
             }
         }
-        // Sorted, so that of equal scores the older document wins whatever the order of words.
-        touched.sort_unstable();
         let mut best = FixedVec::new();
-        for document in touched {
-            let score = std::mem::take(&mut accumulators[document as usize]);
-            if !self.is_removed[document as usize] && wanted(DocumentId(document)) {
-                insert_sorted(&mut best, Retrieved { document: DocumentId(document), score });
+        for (chunk, scores) in accumulators.chunks_mut(SCORES_AT_ONCE).enumerate() {
+            let worst =
+                if best.is_full() { best.last().map_or(0.0, |worst: &Retrieved| worst.score) } else { 0.0 };
+            let most = scores.iter().fold(0.0, |most: f32, &score| most.max(score));
+            if most > worst {
+                for (document, &score) in (chunk * SCORES_AT_ONCE..).zip(&*scores) {
+                    let found = Retrieved { document: DocumentId(document as u32), score };
+                    if score > 0.0 && !self.is_removed[document] && wanted(found.document) {
+                        insert_sorted(&mut best, found);
+                    }
+                }
             }
+            scores.fill(0.0);
         }
         best
     }

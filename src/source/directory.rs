@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::{FrameSource, SourceError, codec};
 use crate::frame::Frame;
+use crate::kernel::luma;
 
 /// Images carry no clock: they count as captured at this nominal interval, from time 0.
 const NOMINAL_INTERVAL_NANOS: i64 = 100_000_000;
@@ -76,7 +77,7 @@ impl DirectorySource {
             index: index as u64,
             capture_nanos: index as i64 * NOMINAL_INTERVAL_NANOS,
             name,
-            grey: colour.to_grey(),
+            grey: luma(&colour),
             colour,
             jpeg: codec::is_jpeg(&bytes).then_some(bytes),
             pose: None,

@@ -21,6 +21,7 @@ use self::stream::BufferStream;
 use self::timing::{CaptureClock, Sampling};
 use super::{FrameSource, SourceError, codec};
 use crate::frame::Frame;
+use crate::kernel::luma;
 use crate::raster::RgbImage;
 
 /// How long a frame is awaited.
@@ -149,7 +150,7 @@ impl Developer {
                 (RgbImage::from_grey(&grey), Some(grey), None)
             }
         };
-        let grey = grey.unwrap_or_else(|| colour.to_grey());
+        let grey = grey.unwrap_or_else(|| luma(&colour));
         Ok(Frame { index, capture_nanos, name, colour, grey, jpeg, pose: None, true_place: None })
     }
 

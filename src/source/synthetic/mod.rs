@@ -54,6 +54,7 @@ use self::sky::Sky;
 use self::world::World;
 use super::{FrameSource, SourceError};
 use crate::frame::{Frame, Pose};
+use crate::kernel::luma;
 use crate::raster::RgbImage;
 
 /// Nominal time between two frames: ten a second.
@@ -116,7 +117,7 @@ impl SyntheticSource {
             index,
             capture_nanos: index as i64 * FRAME_PERIOD_NANOS,
             name: format!("synthetic:{}#{index:04}", self.spec.world.name()),
-            grey: colour.to_grey(),
+            grey: luma(&colour),
             colour,
             jpeg: None,
             pose: Some(pose(&view)),

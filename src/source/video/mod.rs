@@ -22,6 +22,7 @@ use self::probe::VideoInfo;
 use self::selection::Selection;
 use super::{FrameSource, SourceError};
 use crate::frame::Frame;
+use crate::kernel::luma;
 
 /// Frames a second that are handed out unless another interval is asked for.
 const DEFAULT_RATE_HZ: f64 = 3.0;
@@ -119,7 +120,7 @@ impl VideoSource {
                         index: stamp.index,
                         capture_nanos,
                         name: format!("{file}#{}", stamp.index),
-                        grey: colour.to_grey(),
+                        grey: luma(&colour),
                         colour,
                         jpeg: None,
                         pose: None,

@@ -15,6 +15,7 @@ use super::*;
 use crate::feature::{Features, Keypoint};
 use crate::frame::Frame;
 use crate::geometry::{OrientedPoint, Point};
+use crate::kernel::luma;
 use crate::place_map::{ExperienceId, PlaceId};
 use crate::raster::RgbImage;
 use crate::recognition::{Candidate, Candidates, Decision, Evidence, Grounds, Look, Recognition, Rejection};
@@ -34,7 +35,7 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
         index,
         capture_nanos: 1_723_456_789_000_000_000 + index as i64,
         name: format!("{index}.jpg"),
-        grey: colour.to_grey(),
+        grey: luma(&colour),
         colour,
         jpeg: Some(JPEG.to_vec()),
         pose: None,
@@ -224,7 +225,7 @@ fn a_jpeg_is_passed_on_untouched() {
 fn pixels_take_half_their_bytes_unless_a_side_is_odd() {
     for (width, bytes) in [(64, 64 * 48 * 3 / 2), (63, 63 * 48 * 3)] {
         let colour = RgbImage::new(width, 48);
-        let buffer = scene::raw(&colour, &colour.to_grey()).buffer.unwrap();
+        let buffer = scene::raw(&colour, &luma(&colour)).buffer.unwrap();
         assert_eq!(buffer.array.to_data().child_data()[0].len(), bytes);
     }
 }
@@ -241,7 +242,7 @@ fn pixels_keep_their_colours() {
         ([0, 0, 255], [41, 240, 110]),
     ] {
         let colour = pixels(rgb);
-        let bytes = scene::nv12(&colour, &colour.to_grey());
+        let bytes = scene::nv12(&colour, &luma(&colour));
         let found = [bytes[0], bytes[4], bytes[5]];
         assert!(
             found.iter().zip(yuv).all(|(&found, expected): (&u8, u8)| found.abs_diff(expected) <= 1),

@@ -85,6 +85,7 @@ fn encoded(light: f64) -> f64 {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::kernel::luma;
 
     /// An image in which every pixel differs from its neighbours.
     pub(in super::super) fn riddle(width: usize, height: usize) -> RgbImage {
@@ -106,7 +107,7 @@ pub(super) mod tests {
     #[test]
     fn gamma_moves_the_middle_and_keeps_black_and_white() {
         let image = RgbImage::from_pixels(3, 1, [0, 128, 255].map(|byte| [byte; 3]).concat()).unwrap();
-        let levels = |gamma| LinearImage::of(&image, gamma).to_bytes().to_grey();
+        let levels = |gamma| luma(&LinearImage::of(&image, gamma).to_bytes());
         assert_eq!(levels(2.0).pixels(), &[0, 64, 255]);
         assert_eq!(levels(0.5).pixels(), &[0, 181, 255]);
     }

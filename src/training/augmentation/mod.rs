@@ -134,6 +134,7 @@ mod tests {
 
     use super::linear_image::tests::riddle;
     use super::*;
+    use crate::kernel::luma;
 
     const EVERYTHING: Augmentation =
         Augmentation { night: 1.0, weather: 1.0, light: 1.0, view: 1.0, occluder: 1.0, blur: 1.0 };
@@ -186,9 +187,9 @@ mod tests {
     #[test]
     fn nights_are_dark_with_a_few_bright_lamps() {
         let augmentation = Augmentation { night: 1.0, ..NOTHING };
-        let day = street().to_grey();
+        let day = luma(&street());
         for seed in 0..20 {
-            let night = augmented(augmentation, &street(), seed).to_grey();
+            let night = luma(&augmented(augmentation, &street(), seed));
             assert!(night.mean_luminance() < 0.6 * day.mean_luminance(), "seed {seed}");
             assert!(night.pixels().iter().any(|&level| level > 150), "seed {seed}");
         }
@@ -198,7 +199,7 @@ mod tests {
     fn about_a_third_of_all_images_are_nights() {
         let image = street();
         let dark = |seed: &u64| {
-            let grey = augmented(Augmentation::default(), &image, *seed).to_grey();
+            let grey = luma(&augmented(Augmentation::default(), &image, *seed));
             // By day the sky is never that dark.
             grey.pixels()[..320 * 20].iter().map(|&level| u32::from(level)).sum::<u32>() / (320 * 20) < 60
         };
