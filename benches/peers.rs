@@ -13,8 +13,8 @@ use loci::raster::GreyImage;
 use loci::source;
 
 const SIZE_PX: (usize, usize) = (640, 480);
-/// How often every frame is looked at; the median counts.
-const ROUNDS: usize = 5;
+/// How often all frames are looked at, once they were; the median counts.
+const PASSES: usize = 5;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
@@ -46,15 +46,15 @@ fn orb(frames: &str, max_features: usize, out: Option<&str>) -> Result<(), Box<d
     let frames: Vec<GreyImage> = frames.collect();
     let mut extractor = OrbExtractor::new(OrbOptions { max_features, ..OrbOptions::default() });
     let found: Vec<Features> = frames.iter().map(|frame| extractor.extract(frame)).collect();
-    let mut rounds_ms: Vec<f64> = (0..ROUNDS)
+    let mut passes_ms: Vec<f64> = (0..PASSES)
         .map(|_| {
             let started = Instant::now();
             frames.iter().for_each(|frame| drop(std::hint::black_box(extractor.extract(frame))));
             started.elapsed().as_secs_f64() * 1e3 / frames.len() as f64
         })
         .collect();
-    rounds_ms.sort_by(f64::total_cmp);
-    println!("{}", rounds_ms[ROUNDS / 2]);
+    passes_ms.sort_by(f64::total_cmp);
+    println!("{}", passes_ms[PASSES / 2]);
     match out {
         Some(out) => Ok(fs::write(out, found.iter().flat_map(bytes).collect::<Vec<u8>>())?),
         None => Ok(()),

@@ -24,8 +24,8 @@ impl GreyImage {
         (pixels.len() == width.checked_mul(height)?).then_some(Self { width, height, pixels })
     }
 
-    /// Makes it an image of this size, whose pixels are to be written before they are read.
-    pub fn resize(&mut self, width: usize, height: usize) {
+    /// Makes room for an image of this size. Its pixels are to be written before they are read.
+    pub(crate) fn reshape(&mut self, width: usize, height: usize) {
         self.pixels.resize(width * height, 0);
         (self.width, self.height) = (width, height);
     }

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use clap::Args;
 use loci::cnn::{CARD_FILE, DescriptorModel, ModelCard, OnnxRuntime};
+use loci::kernel;
 use loci::place_map::PlaceMap;
 use loci::raster::RgbImage;
 use loci::vocabulary::{Vocabulary, VocabularySet};
@@ -86,6 +87,8 @@ fn findings(settings: &StreamSettings) -> Vec<Finding> {
     }
     findings.extend(settings.map.as_deref().map(|folder| Finding::of("map", map(folder, settings))));
     findings.push(rerun());
+    let detail = format!("inner loops by {}", kernel::instructions());
+    findings.push(Finding { part: "processor", health: Health::Ok, detail });
     findings
 }
 

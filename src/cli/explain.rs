@@ -70,7 +70,7 @@ fn explanation(record: &FrameRecord) -> String {
         .for_each(|place| text += &place_row(place));
     let [before, after] = elsewhere;
     let _ = writeln!(text, "elsewhere  {:>59}   {before:>6.3}   {after:>6.3}\n", "");
-    text + &needed(thresholds)
+    text + &needed(thresholds, record.look.features.len())
 }
 
 fn candidate_row(candidate: &Candidate) -> String {
@@ -106,15 +106,24 @@ fn place_row(grounds: &PlaceGrounds) -> String {
     )
 }
 
-fn needed(thresholds: &Thresholds) -> String {
+fn needed(thresholds: &Thresholds, features: usize) -> String {
     let alone = thresholds
         .cnn_alone
         .map_or(String::new(), |cosine| format!("; the CNN alone is sure from a cosine of {cosine:.3} on"));
     format!(
         "needed: probability {:.3} with the places next to it, of which none may be likelier, and with its twins, \
          which geometry verifies beyond doubt as well and which are no rivals; log odds {:+.2} from the frame \
-         itself{alone}; geometry verifies from {} inliers on\n\n",
-        thresholds.probability, thresholds.log_odds, thresholds.inliers,
+         itself{alone}; geometry verifies from {} inliers on; with {features} features the frame is {}\n\n",
+        thresholds.probability,
+        thresholds.log_odds,
+        thresholds.inliers,
+        match features < thresholds.features {
+            true => format!(
+                "poor (below {}), and founds no place unless the one before was, too",
+                thresholds.features
+            ),
+            false => format!("not poor (below {})", thresholds.features),
+        },
     )
 }
 

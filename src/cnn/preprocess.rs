@@ -193,6 +193,16 @@ mod tests {
     }
 
     #[test]
+    fn rows_are_blended_the_same_to_the_bit_whatever_the_processor_offers() {
+        let image = image(45, 7, 3);
+        let weights = [0.1, 0.35, 0.3, 0.25];
+        let (mut newest, mut plain) = (vec![1.0; 135], vec![2.0; 135]);
+        blend_rows(&image, (2, &weights), &mut newest);
+        blend(&image, (2, &weights), &mut plain);
+        assert_eq!(newest, plain);
+    }
+
+    #[test]
     fn an_image_of_the_input_size_is_only_normalised_and_split() {
         let (image, input) = (image(20, 16, 7), input(20, 16));
         let mut preprocessor = Preprocessor::new(&input);

@@ -59,7 +59,8 @@ impl CornerDetector {
         self.is_maximum.resize(width, false);
         let columns = width.div_ceil(CELL_PX);
         self.cells.iter_mut().for_each(Vec::clear);
-        self.cells.resize_with(columns * height.div_ceil(CELL_PX), Vec::new);
+        let count = columns * height.div_ceil(CELL_PX);
+        self.cells.resize_with(count.max(self.cells.len()), Vec::new);
         let inside = BORDER_PX..width.saturating_sub(BORDER_PX);
         for y in BORDER_PX - 1..(height + 1).saturating_sub(BORDER_PX) {
             self.scores.rotate_left(1);
@@ -114,13 +115,12 @@ impl CornerDetector {
     }
 }
 
-/// Where `flags` are set, as few are.
+/// Where `flags` are set, as few are; the last ones, within the border, never.
 fn indices_of_true(flags: &[bool]) -> impl Iterator<Item = usize> {
     const CHUNK: usize = 16;
     let (chunks, _) = flags.as_chunks::<CHUNK>();
     let any = (0..).zip(chunks).filter(|(_, flags)| **flags != [false; CHUNK]);
-    let worth_a_look = any.flat_map(|(chunk, _)| chunk * CHUNK..(chunk + 1) * CHUNK);
-    worth_a_look.chain(chunks.len() * CHUNK..flags.len()).filter(|&index| flags[index])
+    any.flat_map(|(chunk, _)| chunk * CHUNK..(chunk + 1) * CHUNK).filter(|&index| flags[index])
 }
 
 /// Adds a corner to those of its cell; weak ones count only as long as there is no strong one.
@@ -187,7 +187,49 @@ mod tests {
         assert_eq!(corners.len(), 8);
     }
 
+    /// All corners that there are, cell by cell: by the scores of the whole level.
+    fn by_definition(level: &GreyImage, options: &OrbOptions) -> Vec<Corner> {
+        let (width, height) = (level.width() as isize, level.height() as isize);
+        let mut scores = vec![0; level.pixels().len()];
+        for (y, row) in scores.chunks_mut(level.width()).enumerate() {
+            kernel::corner_scores(level, y, options.fallback_threshold, row);
+        }
+        let score = |x: isize, y: isize| scores[(y * width + x) as usize];
+        let border = BORDER_PX as isize;
+        let mut corners: Vec<Corner> = Vec::new();
+        for (y, x) in (border..height - border).flat_map(|y| (border..width - border).map(move |x| (y, x))) {
+            let around = (0..9).map(|i| (score(x + i % 3 - 1, y + i / 3 - 1), i < 4)).enumerate();
+            let mut others = around.filter(|(i, _)| *i != 4).map(|(_, other)| other);
+            let here = score(x, y);
+            if here > 0 && others.all(|(other, is_before)| other < here || other == here && !is_before) {
+                corners.push(Corner { x: x as usize, y: y as usize, response: here });
+            }
+        }
+        let cell = |corner: &Corner| (corner.x / CELL_PX, corner.y / CELL_PX);
+        let strong: Vec<_> =
+            corners.iter().filter(|corner| corner.response >= options.threshold).map(cell).collect();
+        corners.retain(|corner| corner.response >= options.threshold || !strong.contains(&cell(corner)));
+        corners
+    }
+
     proptest! {
+        #[test]
+        fn corners_are_the_local_maxima_of_the_scores_and_only_strong_ones_where_there_are_any(
+            sizes in proptest::collection::vec((1..120_usize, 1..90_usize), 1..3), seed in any::<[u8; 64]>(),
+        ) {
+            let mut detector = CornerDetector::default();
+            for (width, height) in sizes {
+                let pixels = (0..width * height).map(|i| seed[i * 7 % 64] / if i / 40 % 3 == 0 { 20 } else { 2 });
+                let level = GreyImage::from_pixels(width, height, pixels.collect()).unwrap();
+                let mut expected = by_definition(&level, &OrbOptions::default());
+                expected.sort_by_key(Corner::order);
+                let mut found = Vec::new();
+                detector.detect(&level, &OrbOptions::default(), 1 << 20, &mut found);
+                found.sort_by_key(Corner::order);
+                prop_assert_eq!(found, expected);
+            }
+        }
+
         #[test]
         fn what_is_chosen_is_what_sorting_everything_chooses(
             found in proptest::collection::hash_set((0..9_usize, 0..40_usize, 1..60_u8), 0..200),

@@ -22,7 +22,8 @@ pub struct OrbOptions {
     pub threshold: u8,
     /// FAST threshold in grey values for cells that the first leaves empty; default 7.
     pub fallback_threshold: u8,
-    /// Frames narrower than this many pixels are enlarged by a whole factor first; default 320.
+    /// Frames narrower than this many pixels are enlarged by a whole factor first, to 4 megapixels at most;
+    /// default 320.
     pub min_width_px: usize,
 }
 
@@ -39,7 +40,7 @@ impl Default for OrbOptions {
     }
 }
 
-/// Finds and describes ORB features, in memory that it keeps from frame to frame.
+/// Finds and describes ORB features, in memory that it keeps from frame to frame: as much as the largest one took.
 #[derive(Debug)]
 pub struct OrbExtractor {
     options: OrbOptions,
@@ -77,14 +78,14 @@ impl OrbExtractor {
         &self.options
     }
 
-    /// The features of `frame`, at most [`OrbOptions::max_features`], spread over it.
+    /// The features of `frame`, at most [`OrbOptions::max_features`]: on every level of the pyramid half of them spread over
+    /// it, half the strongest of the rest.
     #[must_use]
     pub fn extract(&mut self, frame: &GreyImage) -> Features {
         let mut features = Features {
             width_px: frame.width() as u32,
             height_px: frame.height() as u32,
-            keypoints: Vec::with_capacity(self.options.max_features),
-            descriptors: Vec::with_capacity(self.options.max_features),
+            ..Features::default()
         };
         self.pyramid.build(frame, &self.options);
         for ((level, scale), &budget) in self.pyramid.levels(frame, &self.options).zip(&self.budgets) {
@@ -92,6 +93,8 @@ impl OrbExtractor {
             if self.corners.is_empty() {
                 continue;
             }
+            features.keypoints.reserve(self.corners.len());
+            features.descriptors.reserve(self.corners.len());
             self.centroid.measure(level, &self.corners, &mut self.angles_radians);
             self.blur.blur_7x7(level, &mut self.blurred);
             brief::describe(&self.blurred, &self.corners, &self.angles_radians, &mut features.descriptors);
@@ -150,6 +153,47 @@ mod tests {
         assert_eq!(features.descriptors.len(), 1000);
         let coarsest = features.keypoints.iter().map(|keypoint| keypoint.scale).fold(0.0, f32::max);
         assert!((coarsest - 1.2_f32.powi(7)).abs() < 1e-3);
+    }
+
+    #[test]
+    fn descriptors_are_those_of_the_blurred_level_where_its_corners_are() {
+        let frame = textured(640, 480);
+        let options = OrbOptions { levels: 1, ..OrbOptions::default() };
+        let features = OrbExtractor::new(options).extract(&frame);
+        let mut blurred = GreyImage::new(0, 0);
+        Blur::default().blur_7x7(&frame, &mut blurred);
+        let corner = |keypoint: &Keypoint| Corner {
+            x: keypoint.point.x as usize,
+            y: keypoint.point.y as usize,
+            response: keypoint.response,
+        };
+        let corners: Vec<Corner> = features.keypoints.iter().map(corner).collect();
+        let angles_radians: Vec<f32> =
+            features.keypoints.iter().map(|keypoint| keypoint.angle_radians).collect();
+        let mut expected = Vec::new();
+        brief::describe(&blurred, &corners, &angles_radians, &mut expected);
+        assert_eq!(features.descriptors, expected);
+    }
+
+    #[test]
+    fn points_of_coarser_levels_lie_at_the_centres_of_their_pixels() {
+        let features = OrbExtractor::new(OrbOptions::default()).extract(&textured(640, 480));
+        for keypoint in features.keypoints {
+            let in_level = (keypoint.point.x + 0.5) / keypoint.scale - 0.5;
+            assert!(in_level > 18.9 && (in_level - in_level.round()).abs() < 0.01, "{keypoint:?}");
+        }
+    }
+
+    #[test]
+    fn what_one_frame_left_behind_does_not_show_in_the_next() {
+        let mut extractor = OrbExtractor::new(OrbOptions::default());
+        for (width, height) in
+            [(640, 480), (160, 120), (33, 200), (640, 480), (200, 33), (0, 0), (1, 1), (320, 240)]
+        {
+            let frame = textured(width, height);
+            let fresh = OrbExtractor::new(OrbOptions::default()).extract(&frame);
+            assert_eq!(extractor.extract(&frame), fresh, "{width}×{height}");
+        }
     }
 
     #[test]

@@ -19,7 +19,7 @@ impl Blur {
     /// Makes `blurred` what `image` is after a separable 7×7 Gaussian blur of σ = 2 px in 16-bit fixed point; borders
     /// repeat the edge pixel.
     pub fn blur_7x7(&mut self, image: &GreyImage, blurred: &mut GreyImage) {
-        blurred.resize(image.width(), image.height());
+        blurred.reshape(image.width(), image.height());
         self.sums.iter_mut().for_each(|bytes| bytes.resize(image.width() + 2 * RADIUS, 0));
         if image.width() > 0 {
             blur(image, &mut self.sums, blurred);

@@ -14,9 +14,9 @@ macro_rules! for_every_processor {
                 fn avx2($($argument: $type),*) {
                     $body($($argument),*);
                 }
-                if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("bmi2") {
+                if crate::kernel::has_avx2() {
                     #[expect(unsafe_code, reason = "code for newer processors runs behind a check that this is one")]
-                    // SAFETY: the processor has AVX2 and BMI2, and none has those without BMI1.
+                    // SAFETY: the processor has what the function was compiled for.
                     return unsafe { avx2($($argument),*) };
                 }
             }
@@ -26,3 +26,25 @@ macro_rules! for_every_processor {
 }
 
 pub(crate) use for_every_processor;
+
+/// Whether this processor has AVX2, BMI1 and BMI2.
+#[cfg(target_arch = "x86_64")]
+pub(crate) fn has_avx2() -> bool {
+    is_x86_feature_detected!("avx2") && is_x86_feature_detected!("bmi1") && is_x86_feature_detected!("bmi2")
+}
+
+/// The instructions that inner loops use on this processor, such as "AVX2".
+#[must_use]
+pub fn instructions() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    if has_avx2() {
+        return "AVX2";
+    }
+    if cfg!(target_arch = "x86_64") {
+        "SSE2"
+    } else if cfg!(target_arch = "aarch64") {
+        "NEON"
+    } else {
+        "plain ones"
+    }
+}

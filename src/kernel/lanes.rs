@@ -22,7 +22,9 @@ pub(super) fn for_lanes(columns: Range<usize>, mut body: impl EachLane) {
     if x < columns.end && columns.len() >= LANES {
         body.step::<LANES>(columns.end - LANES);
     } else {
-        (x..columns.end).for_each(|x| body.step::<1>(x));
+        for x in x..columns.end {
+            body.step::<1>(x);
+        }
     }
 }
 

@@ -1,4 +1,4 @@
-//! The inner loops, one file each, in plain Rust.
+//! The inner loops, one file each, in plain Rust, compiled for several processors (`dispatch`).
 //!
 //! Everything here is integer arithmetic with one right answer, so that a faster version of a loop
 //! can be held bit for bit against the simple one.
@@ -16,6 +16,9 @@ mod segment;
 pub use blur::Blur;
 pub use difference_hash::difference_hash;
 pub(crate) use dispatch::for_every_processor;
+#[cfg(target_arch = "x86_64")]
+pub(crate) use dispatch::has_avx2;
+pub use dispatch::instructions;
 pub use hamming::{hamming, nearest};
 pub use luma::luma;
 pub use prefetch::prefetch;

@@ -10,8 +10,8 @@ const ONE: i32 = 1 << FRACTION_BITS;
 const HALF: i32 = 1 << (2 * FRACTION_BITS - 1);
 /// Pixels of a row that are made at a time.
 const LANES: usize = 16;
-/// Of how many pixels each of them is made, where a level is a little smaller than the one before.
-const USUAL_DEPTH: usize = 5;
+/// Of how many pixels each of them is made at least. Levels of 5/6 of the one before need five, sometimes six.
+const LEAST_DEPTH: usize = 5;
 
 /// Resizes images from one size to another, again and again.
 #[derive(Debug, Default)]
@@ -27,7 +27,8 @@ pub struct Resizer {
 impl Resizer {
     /// Makes `resized`, which says the size, what `image` is after bilinear interpolation between pixel centres.
     ///
-    /// Meant for factors near one, as between pyramid levels: a strong reduction would alias.
+    /// Meant for factors near one, as between pyramid levels: a strong reduction would alias. An image without pixels
+    /// leaves `resized` as it is.
     pub fn resize_bilinear(&mut self, image: &GreyImage, resized: &mut GreyImage) {
         let sizes = [image, resized].map(|image| (image.width(), image.height()));
         if sizes[0] == sizes[1] {
@@ -97,7 +98,7 @@ impl Columns {
         });
         let places: Vec<(usize, usize, Tap)> = places.collect();
         let depth =
-            places.iter().map(|&(_, offset, _)| offset + 2).max().unwrap_or_default().max(USUAL_DEPTH);
+            places.iter().map(|&(_, offset, _)| offset + 2).max().unwrap_or_default().max(LEAST_DEPTH);
         let mut weights = vec![[0; LANES]; starts.len() * depth];
         for (pixel, &(lane, offset, tap)) in places.iter().enumerate() {
             let weights = &mut weights[pixel / LANES * depth..];
@@ -124,19 +125,31 @@ fn resize_rows(resizer: &mut Resizer, image: &GreyImage, resized: &mut GreyImage
     for (y, row) in rows.iter().enumerate() {
         let values = &mut between[LANES..LANES + image.width()];
         mix_rows((image.row(row.first), image.row(row.second)), row.weight, values);
-        let pixels = resized.row_mut(y).chunks_mut(LANES).zip(&columns.starts);
-        // The same twice: of weights whose number is known the sum needs no loop.
-        if columns.depth == USUAL_DEPTH {
-            let weights = columns.weights.as_chunks::<USUAL_DEPTH>().0;
-            for ((pixels, &start), weights) in pixels.zip(weights) {
-                make(pixels, &between[start..], weights);
-            }
-        } else {
-            let weights = columns.weights.chunks_exact(columns.depth);
-            for ((pixels, &start), weights) in pixels.zip(weights) {
-                make(pixels, &between[start..], weights);
+        // Of weights whose number is known the sum needs no loop.
+        match columns.depth {
+            5 => make_row(columns, columns.weights.as_chunks::<5>().0, between, resized.row_mut(y)),
+            6 => make_row(columns, columns.weights.as_chunks::<6>().0, between, resized.row_mut(y)),
+            depth => {
+                let weights = columns.weights.chunks_exact(depth);
+                for ((pixels, &start), weights) in
+                    resized.row_mut(y).chunks_mut(LANES).zip(&columns.starts).zip(weights)
+                {
+                    make(pixels, &between[start..], weights);
+                }
             }
         }
+    }
+}
+
+#[inline(always)]
+fn make_row<const DEPTH: usize>(
+    columns: &Columns,
+    weights: &[[[i32; LANES]; DEPTH]],
+    values: &[i32],
+    pixels: &mut [u8],
+) {
+    for ((pixels, &start), weights) in pixels.chunks_mut(LANES).zip(&columns.starts).zip(weights) {
+        make(pixels, &values[start..], weights);
     }
 }
 
@@ -219,10 +232,11 @@ mod tests {
     #[test]
     fn what_one_image_left_behind_does_not_show_in_the_next() {
         let mut resizer = Resizer::default();
-        for (from, to) in [(90, 75), (20, 40), (90, 75), (33, 31)] {
-            let (image, mut resized) = (patterned(from, from, 37), GreyImage::new(to, to));
+        let sizes = [((90, 80), (75, 67)), ((20, 20), (40, 30)), ((90, 80), (75, 67)), ((99, 60), (75, 67))];
+        for (from, to) in sizes {
+            let (image, mut resized) = (patterned(from.0, from.1, 37), GreyImage::new(to.0, to.1));
             resizer.resize_bilinear(&image, &mut resized);
-            assert_eq!(resized.pixels(), by_definition(&image, to, to));
+            assert_eq!(resized.pixels(), by_definition(&image, to.0, to.1));
         }
     }
 

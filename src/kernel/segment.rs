@@ -31,6 +31,7 @@ const CIRCLE: [(isize, isize); 16] = [
 ];
 /// Radius of the circle in pixels.
 const RADIUS: usize = 3;
+
 for_every_processor! {
     /// Writes into `scores` the corner score of each pixel of row `y` of `image`: the largest threshold at which it
     /// passes the FAST-9 test, or 0 where that is below `threshold` or closer than 3 px to the border.
@@ -174,7 +175,7 @@ impl EachLane for Maxima<'_> {
     fn step<const N: usize>(&mut self, x: usize) {
         let [above, row, below] = self.rows;
         let scores = lanes::<N>(row, x);
-        if scores.iter().fold(0, |any, score| any | score) == 0 {
+        if *scores == [0; N] {
             return;
         }
         let before = [

@@ -62,6 +62,7 @@ impl Recogniser {
             probability: self.options.accept_above,
             log_odds: if self.options.read_only || self.has_shown { LEAST_LOG_ODDS } else { SHOWN_LOG_ODDS },
             inliers: self.options.min_inliers,
+            features: self.options.keyframe_features,
             cnn_alone: self.model.as_ref().map(|model| model.decision.recognise_above),
         }
     }
@@ -178,11 +179,11 @@ impl Recogniser {
         }
     }
 
-    /// Whether a frame that shows no known place founds none by itself: where the one before showed one, or where it is
-    /// poor. The second such frame in a row does.
+    /// Whether a frame that shows no known place founds none: it is the first one after a known place, or the first
+    /// poor one.
     fn is_doubtful(&self, look: &Look) -> bool {
-        let is_first = self.options.sequence && !self.was_unknown;
-        self.has_shown || is_first && look.is_poor(self.options.keyframe_features)
+        let is_first_poor = !self.was_poor && look.is_poor(self.options.keyframe_features);
+        self.has_shown || self.options.sequence && is_first_poor
     }
 
     /// Marks everything but the chosen one as turned down, and puts that first.

@@ -35,6 +35,8 @@ pub struct Thresholds {
     pub log_odds: f32,
     /// Effective inliers from which on geometry verifies a place.
     pub inliers: u32,
+    /// Features below which the frame is poor: it founds no place unless the one before was poor, too.
+    pub features: usize,
     /// Cosine from which on the CNN alone is sure, if one takes part.
     pub cnn_alone: Option<f32>,
 }

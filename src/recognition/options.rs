@@ -13,7 +13,8 @@ pub struct RecognitionOptions {
     pub accept_above: f32,
     /// Whether what was seen before counts; default true.
     pub sequence: bool,
-    /// Most features that a keyframe keeps, so that it stays below 12 KiB; default 256.
+    /// Most features that a keyframe keeps, so that it stays below 12 KiB; default 256. A frame that has fewer is poor:
+    /// it founds no place unless the one before was, too.
     pub keyframe_features: usize,
     /// Most bytes of memory for the map and the keyframes that are searched; default 256 MiB.
     pub memory_bytes: usize,

@@ -36,8 +36,8 @@ pub struct Recogniser {
     pub(super) belief: Belief,
     /// Whether the frame before showed a known place; never where every frame counts by itself.
     pub(super) has_shown: bool,
-    /// Whether the frame before was `unknown`.
-    pub(super) was_unknown: bool,
+    /// Whether the frame before was poor.
+    pub(super) was_poor: bool,
     pub(super) foreign_descriptors: usize,
     /// Why the map cannot be read or changed, until somebody asks.
     pub(super) map_failure: Option<MapError>,
@@ -66,7 +66,7 @@ impl Recogniser {
             renewals: Renewals::default(),
             belief: Belief::default(),
             has_shown: false,
-            was_unknown: false,
+            was_poor: false,
             working_set: WorkingSet::default(),
             identities: Identities::default(),
             foreign_descriptors: 0,
@@ -250,7 +250,7 @@ impl Recogniser {
         let is_shown = chosen.as_ref().map(|chosen| grounds.shows(chosen.place, SHOWN_LOG_ODDS));
         let mut recognition = self.judge(look, chosen, (candidates, grounds), verification);
         self.has_shown = is_shown == Some(true) && self.options.sequence;
-        self.was_unknown = recognition.decision == Decision::Unknown;
+        self.was_poor = look.is_poor(self.options.keyframe_features);
         let says_something = recognition.decision != Decision::Unknown && is_shown != Some(false);
         if says_something && !self.options.read_only {
             self.remember((frame, look), &mut recognition, thumbnail_jpeg);
@@ -303,7 +303,7 @@ impl Recogniser {
     pub fn begin_anew(&mut self) {
         self.belief = Belief::default();
         self.has_shown = false;
-        self.was_unknown = false;
+        self.was_poor = false;
         self.visits = Visits::new(self.options.place_interval);
     }
 }

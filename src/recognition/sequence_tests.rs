@@ -61,6 +61,23 @@ fn a_blurred_frame_founds_no_place_while_the_robot_explores() {
 }
 
 #[test]
+fn a_blurred_frame_after_a_clear_one_that_shows_no_known_place_founds_none_either() {
+    let mut robot = robot_on_its_way();
+    robot.see(2, 2);
+    assert_eq!(robot.see(40, 12).decision, Decision::Unknown, "the first one after a known place");
+    assert_eq!(robot.see_blurred(41, 13).decision, Decision::Unknown, "the first blurred one");
+    assert_eq!(robot.see_blurred(41, 13).decision, Decision::NewPlace);
+}
+
+#[test]
+fn a_stream_that_begins_anew_begins_with_no_blurred_frame() {
+    let mut robot = robot_on_its_way();
+    robot.see_blurred(40, 12);
+    robot.recogniser.begin_anew();
+    assert_eq!(robot.see_blurred(40, 12).decision, Decision::Unknown);
+}
+
+#[test]
 fn where_little_is_to_be_seen_the_second_frame_founds_a_place() {
     let mut robot = Robot::new(Some(card()), no_interval(), in_memory());
     assert_eq!(robot.see_blurred(0, 0).decision, Decision::Unknown, "not even the first of all");

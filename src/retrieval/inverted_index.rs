@@ -151,6 +151,7 @@ impl InvertedIndex {
                 accumulators[posting.document as usize] += weight.min(posting.weight);
             }
         }
+        // In the order of the documents, so that of equal scores the older one wins.
         let mut best = FixedVec::new();
         for (chunk, scores) in accumulators.chunks_mut(SCORES_AT_ONCE).enumerate() {
             let worst =
@@ -258,6 +259,17 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn of_images_that_score_the_same_the_oldest_are_found_in_their_order() {
+        let bow = BowVector::weighted([(WordId(1), 1.0), (WordId(2), 1.0)], Weighting::TfIdf);
+        let mut index = InvertedIndex::default();
+        for _ in 0..3 * SCORES_AT_ONCE {
+            index.add(&bow);
+        }
+        let found: Vec<u32> = index.query(&bow, |_| true).iter().map(|found| found.document.0).collect();
+        assert_eq!(found, (0..MAX_RETRIEVED as u32).collect::<Vec<_>>());
     }
 
     #[test]

@@ -223,7 +223,7 @@ fn the_doctor_finds_every_part_in_order() {
     let doctor = loci(&["doctor", "--json"]);
     assert_eq!(doctor.code, 0, "{}{}", doctor.stdout, doctor.stderr);
     let findings = doctor.records()[0].as_array().unwrap().clone();
-    for part in ["vocabulary", "onnx runtime", "model", "rerun"] {
+    for part in ["vocabulary", "onnx runtime", "model", "rerun", "processor"] {
         assert!(findings.iter().any(|finding| finding["part"] == part), "no {part}");
     }
     let broken = loci(&["doctor", "--vocab", "/dev/null"]);

@@ -15,6 +15,7 @@ use loci::cnn::CnnError;
 use loci::evaluation::layout::LayoutError;
 use loci::evaluation::results::{Asset, Experiment, Report};
 use loci::evaluation::{self, EvaluationError, Evaluator, ExperimentPlan, RobotOptions, Suite, report};
+use loci::kernel;
 use loci::pipeline::{Seen, Watcher};
 use loci::place_map::{MapError, MapOptions};
 use loci::source::SourceError;
@@ -98,12 +99,11 @@ fn evaluate(
     }
     let options = stream::recognition_options(settings)?;
     let threads = settings.threads.map_or(1, NonZero::get);
-    let backend = match runtime {
-        Some(version) => {
-            format!("ONNX Runtime {version} on the CPU, threads: {threads}; kernels in plain Rust")
-        }
-        None => "no CNN; kernels in plain Rust".to_owned(),
+    let cnn = match runtime {
+        Some(version) => format!("ONNX Runtime {version} on the CPU, threads: {threads}"),
+        None => "no CNN".to_owned(),
     };
+    let backend = format!("{cnn}; kernels in plain Rust for {}", kernel::instructions());
     let map = match settings.map_disk {
         Some(_) => stream::map_options(settings)?,
         None => MapOptions::unbounded(),
