@@ -78,8 +78,8 @@ impl OrbExtractor {
         &self.options
     }
 
-    /// The features of `frame`, at most [`OrbOptions::max_features`]: on every level of the pyramid half of them spread over
-    /// it, half the strongest of the rest.
+    /// The features of `frame`, at most [`OrbOptions::max_features`]: on every level of the pyramid half of them spread
+    /// over it, half the strongest of the rest.
     #[must_use]
     pub fn extract(&mut self, frame: &GreyImage) -> Features {
         let mut features = Features {
