@@ -213,6 +213,9 @@ mod tests {
     }
 
     proptest! {
+        // Each looks at every pixel of a level or two.
+        #![proptest_config(ProptestConfig::with_cases(48))]
+
         #[test]
         fn corners_are_the_local_maxima_of_the_scores_and_only_strong_ones_where_there_are_any(
             sizes in proptest::collection::vec((1..120_usize, 1..90_usize), 1..3), seed in any::<[u8; 64]>(),

@@ -239,6 +239,9 @@ mod tests {
     }
 
     proptest! {
+        // Each tries every threshold on every pixel.
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
         #[test]
         fn the_score_is_the_largest_threshold_that_still_passes(image in images(), threshold in 1..60_u8) {
             for y in 0..image.height() {
