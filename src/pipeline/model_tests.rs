@@ -159,8 +159,9 @@ impl Robot {
     }
 }
 
+/// Every frame founds a place. None has features, and without them none is poor.
 fn options() -> RecognitionOptions {
-    RecognitionOptions { place_interval: 0, ..RecognitionOptions::default() }
+    RecognitionOptions { place_interval: 0, keyframe_features: 0, ..RecognitionOptions::default() }
 }
 
 /// Turns the link `current` over to a folder with the network of these operators.
