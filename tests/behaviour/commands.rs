@@ -198,7 +198,7 @@ fn images_that_weigh_no_word_are_refused_for_an_import_and_reported_by_a_trainin
     assert!(weighed.code == 0 && weighed.stderr.is_empty(), "{}", weighed.stderr);
 
     let train =
-        |images: &str| loci(&["vocab", "train", images, "--depth", "2", "--out", text(&path), "--json"]);
+        |images: &str| loci(&["vocab", "train", images, "--depth", "3", "--out", text(&path), "--json"]);
     let trained = train(one_image);
     assert_eq!(trained.code, 0, "{}", trained.stderr);
     assert!(trained.stderr.starts_with("loci: no word weighs anything: "), "{}", trained.stderr);
