@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use loci::recognition::{Candidate, Clues, Grounds, PlaceGrounds, Thresholds};
+use loci::recognition::{Candidate, Clues, Grounds, Look, PlaceGrounds, Thresholds};
 use loci::telemetry::{FrameRecord, RecognitionSink, TelemetryError};
 
 /// Least probability with which a place is shown of which nothing was found.
@@ -70,7 +70,7 @@ fn explanation(record: &FrameRecord) -> String {
         .for_each(|place| text += &place_row(place));
     let [before, after] = elsewhere;
     let _ = writeln!(text, "elsewhere  {:>59}   {before:>6.3}   {after:>6.3}\n", "");
-    text + &needed(thresholds, record.look.features.len())
+    text + &needed(thresholds) + &richness(&record.look, thresholds.features)
 }
 
 fn candidate_row(candidate: &Candidate) -> String {
@@ -106,25 +106,25 @@ fn place_row(grounds: &PlaceGrounds) -> String {
     )
 }
 
-fn needed(thresholds: &Thresholds, features: usize) -> String {
+fn needed(thresholds: &Thresholds) -> String {
     let alone = thresholds
         .cnn_alone
         .map_or(String::new(), |cosine| format!("; the CNN alone is sure from a cosine of {cosine:.3} on"));
     format!(
         "needed: probability {:.3} with the places next to it, of which none may be likelier, and with its twins, \
          which geometry verifies beyond doubt as well and which are no rivals; log odds {:+.2} from the frame \
-         itself{alone}; geometry verifies from {} inliers on; with {features} features the frame is {}\n\n",
-        thresholds.probability,
-        thresholds.log_odds,
-        thresholds.inliers,
-        match features < thresholds.features {
-            true => format!(
-                "poor (below {}), and founds no place unless the one before was, too",
-                thresholds.features
-            ),
-            false => format!("not poor (below {})", thresholds.features),
-        },
+         itself{alone}; geometry verifies from {} inliers on\n",
+        thresholds.probability, thresholds.log_odds, thresholds.inliers,
     )
+}
+
+/// How many features the frame has, and what that means for a place that it would found.
+fn richness(look: &Look, needed: usize) -> String {
+    let said = match look.is_poor(needed) {
+        true => ": it founds no place unless the one before was poor, too",
+        false => "",
+    };
+    format!("features: {}, poor below {needed}{said}\n\n", look.features.len())
 }
 
 fn or_dash(value: Option<impl ToString>) -> String {

@@ -88,7 +88,7 @@ impl OrbExtractor {
             ..Features::default()
         };
         self.pyramid.build(frame, &self.options);
-        for ((level, scale), &budget) in self.pyramid.levels(frame, &self.options).zip(&self.budgets) {
+        for ((level, scale), &budget) in self.pyramid.levels(&self.options).zip(&self.budgets) {
             self.detector.detect(level, &self.options, budget, &mut self.corners);
             if self.corners.is_empty() {
                 continue;

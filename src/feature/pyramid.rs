@@ -13,13 +13,15 @@ pub(super) struct Pyramid {
     levels: Vec<GreyImage>,
     /// Makes each level from the one before.
     resizers: Vec<Resizer>,
+    /// By what factor the frame was enlarged for the finest one.
+    enlargement: usize,
 }
 
 impl Pyramid {
     /// Builds the levels of `frame`, the finest of which is the frame, enlarged by a whole factor where it is narrow.
     pub(super) fn build(&mut self, frame: &GreyImage, options: &OrbOptions) {
-        let enlargement = enlargement(frame, options);
-        let (width, height) = (frame.width() * enlargement, frame.height() * enlargement);
+        self.enlargement = enlargement(frame, options);
+        let (width, height) = (frame.width() * self.enlargement, frame.height() * self.enlargement);
         self.levels.resize_with(options.levels, || GreyImage::new(0, 0));
         self.resizers.resize_with(options.levels, Resizer::default);
         for octave in 0..options.levels {
@@ -33,12 +35,8 @@ impl Pyramid {
     }
 
     /// Every level, from the finest on, with the pixels of the frame that one of its pixels covers.
-    pub(super) fn levels(
-        &self,
-        frame: &GreyImage,
-        options: &OrbOptions,
-    ) -> impl Iterator<Item = (&GreyImage, f32)> {
-        let (enlargement, factor) = (enlargement(frame, options) as f32, options.scale_factor);
+    pub(super) fn levels(&self, options: &OrbOptions) -> impl Iterator<Item = (&GreyImage, f32)> {
+        let (enlargement, factor) = (self.enlargement as f32, options.scale_factor);
         self.levels.iter().zip(0..).map(move |(level, octave)| (level, factor.powi(octave) / enlargement))
     }
 }
@@ -68,7 +66,7 @@ mod tests {
             let frame = GreyImage::new(width, height);
             pyramid.build(&frame, &options);
             let base = width.max(320) as f32;
-            let levels: Vec<_> = pyramid.levels(&frame, &options).collect();
+            let levels: Vec<_> = pyramid.levels(&options).collect();
             assert_eq!(levels.len(), 3);
             for (octave, (level, scale)) in (0..).zip(levels) {
                 assert_eq!(level.width(), (base / 1.2_f32.powi(octave)).round() as usize);

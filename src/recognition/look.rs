@@ -31,7 +31,8 @@ impl Look {
 
     /// Whether features were looked for, and fewer found than a keyframe keeps: the frame is blurred, dark or covered,
     /// or there is little to be seen.
-    pub(super) fn is_poor(&self, keyframe_features: usize) -> bool {
+    #[must_use]
+    pub fn is_poor(&self, keyframe_features: usize) -> bool {
         self.features.width_px > 0 && self.features.len() < keyframe_features
     }
 

@@ -160,8 +160,16 @@ fn a_frame_is_explained_with_its_candidates_belief_and_thresholds_and_no_other_l
     for part in ["frame 3, synthetic:street#0003: same_place", "within the place interval", "frame 70, "] {
         assert!(run.stdout.contains(part), "no '{part}' in: {}", run.stdout);
     }
-    for part in ["votes", "log odds", "before", "after", "accepted", "elsewhere", "needed: probability 0.500"]
-    {
+    for part in [
+        "votes",
+        "log odds",
+        "before",
+        "after",
+        "accepted",
+        "elsewhere",
+        "needed: probability 0.500",
+        "poor below 256",
+    ] {
         assert!(run.stdout.contains(part), "no '{part}' in: {}", run.stdout);
     }
     assert!(!run.stdout.contains("frame 4, "), "{}", run.stdout);
