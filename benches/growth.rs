@@ -1,7 +1,8 @@
 //! How a query grows with the map: `cargo bench --no-default-features --bench growth -- 1000 10000 50000`.
 //!
-//! Images are made up: 1,000 words each, drawn as often as the vocabulary's training images showed them. Every query
-//! shows half the words of a known image, and must find it.
+//! Images are made up: 1,000 words each, drawn as often as the vocabulary's training images showed them. Every place is
+//! shown by one of them, or by 20 that have half their words in common. A query shows half the words of an image, those
+//! that its place has in common, and must find the place.
 
 use std::path::Path;
 use std::time::Instant;
@@ -13,6 +14,8 @@ use rand_pcg::Pcg64;
 
 const WORDS: usize = 1000;
 const QUERIES: usize = 200;
+/// Images of a place.
+const SHOWN: [usize; 2] = [1, 20];
 
 fn main() {
     let arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
@@ -20,48 +23,73 @@ fn main() {
     if sizes.is_empty() {
         sizes = vec![1000, 10_000];
     }
-    let vocabulary = Vocabulary::open(Path::new("vocab/default.lvoc")).expect("the shipped vocabulary");
-    // A word of idf ln(N / n) was shown by n of N images.
-    let frequency = |word| (-vocabulary.weight(WordId(word))).exp();
-    let sums = (0..vocabulary.word_count()).scan(0.0, |sum, word| {
-        *sum += frequency(word);
-        Some(*sum)
-    });
-    let sums: Vec<f64> = sums.collect();
-    println!("| Images | Postings | Query, median, ms | 99 of 100, ms |\n|---:|---:|---:|---:|");
-    sizes.into_iter().for_each(|size| measure(size, &vocabulary, &sums));
+    let world = World::new();
+    println!(
+        "| Images | Of a place | Postings | MB | Query, median, ms | 99 of 100, ms |\n|---:|---:|---:|---:|---:|---:|"
+    );
+    for size in sizes {
+        SHOWN.iter().for_each(|&shown| measure(size, shown, &world));
+    }
 }
 
-/// Queries an index of so many images; `sums` of the words' frequencies, each with those before it.
-fn measure(images: usize, vocabulary: &Vocabulary, sums: &[f64]) {
-    let image = |number: usize| {
-        let mut random = Pcg64::seed_from_u64(number as u64);
-        let mut word = || sums.partition_point(|&sum| sum <= random.random_range(0.0..sums[sums.len() - 1]));
-        (0..WORDS).map(|_| WordId(word() as u32)).collect::<Vec<_>>()
-    };
+/// What images may show.
+struct World {
+    vocabulary: Vocabulary,
+    /// Sums of the words' frequencies, each with those before it.
+    sums: Vec<f64>,
+}
+
+impl World {
+    fn new() -> Self {
+        let vocabulary = Vocabulary::open(Path::new("vocab/default.lvoc")).expect("the shipped vocabulary");
+        // A word of idf ln(N / n) was shown by n of N images.
+        let frequencies = (0..vocabulary.word_count()).map(|word| (-vocabulary.weight(WordId(word))).exp());
+        let sums = frequencies.scan(0.0, |sum, frequency| {
+            *sum += frequency;
+            Some(*sum)
+        });
+        Self { sums: sums.collect(), vocabulary }
+    }
+
+    /// Half the words of an image.
+    fn half(&self, seed: usize) -> impl Iterator<Item = WordId> {
+        let mut random = Pcg64::seed_from_u64(seed as u64);
+        (0..WORDS / 2).map(move |_| {
+            let drawn = random.random_range(0.0..self.sums[self.sums.len() - 1]);
+            WordId(self.sums.partition_point(|&sum| sum <= drawn) as u32)
+        })
+    }
+
+    /// A view of a place.
+    fn image(&self, place: usize, view: usize) -> BowVector {
+        BowVector::new(self.half(2 * place).chain(self.half(2 * view + 1)), &self.vocabulary)
+    }
+}
+
+/// Queries an index of so many images, so many `shown` of every place.
+fn measure(images: usize, shown: usize, world: &World) {
     let mut index = InvertedIndex::default();
     let mut postings = 0;
-    for number in 0..images {
-        let bow = BowVector::new(image(number), vocabulary);
+    for view in 0..images {
+        let bow = world.image(view / shown, view);
         postings += bow.entries().len();
         index.add(&bow);
     }
+    index.query(&BowVector::default(), |_| true);
     let mut random = Pcg64::seed_from_u64(u64::MAX);
     let mut times_ms: Vec<f64> = (0..QUERIES)
         .map(|query| {
-            let known = random.random_range(0..images);
-            let mut words = image(known);
-            words.truncate(WORDS / 2);
-            words.extend_from_slice(&image(images + query)[WORDS / 2..]);
-            let bow = BowVector::new(words, vocabulary);
+            let place = random.random_range(0..images / shown);
+            let bow = world.image(place, images + query);
             let started = Instant::now();
             let found = index.query(&bow, |_| true);
             let ms = started.elapsed().as_secs_f64() * 1e3;
-            assert_eq!(found[0].document.0 as usize, known);
+            assert_eq!(found[0].document.0 as usize / shown, place);
             ms
         })
         .collect();
     times_ms.sort_by(f64::total_cmp);
     let [median, most] = [QUERIES / 2, QUERIES * 99 / 100].map(|rank| times_ms[rank]);
-    println!("| {images} | {postings} | {median:.3} | {most:.3} |");
+    let mb = index.memory_bytes() as f64 / 1e6;
+    println!("| {images} | {shown} | {postings} | {mb:.1} | {median:.3} | {most:.3} |");
 }

@@ -5,8 +5,10 @@ use std::hint::black_box;
 use std::path::Path;
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use loci::cnn::{ModelCard, Preprocessor};
 use loci::feature::{Features, OrbExtractor, OrbOptions};
 use loci::frame::Frame;
+use loci::kernel;
 use loci::retrieval::{BowVector, InvertedIndex};
 use loci::source;
 use loci::verification::{MatchingView, VerificationOptions, verify};
@@ -22,6 +24,19 @@ fn stages(criterion: &mut Criterion) {
     let vocabulary = Vocabulary::open(Path::new("vocab/default.lvoc")).expect("the shipped vocabulary");
     let mut extractor = OrbExtractor::new(OrbOptions::default());
     let frames = frames(20);
+    let jpeg = source::jpeg(&frames[0].colour);
+    criterion.bench_function("source/jpeg_of_640x480", |bencher| {
+        bencher.iter(|| source::decode(black_box(&jpeg), "frame"));
+    });
+    criterion.bench_function("kernel/luma_of_640x480", |bencher| {
+        bencher.iter(|| kernel::luma(black_box(&frames[0].colour)));
+    });
+    criterion.bench_function("cnn/input_of_640x480", |bencher| {
+        let card =
+            ModelCard::read(Path::new("models/efficientnet-lite0/card.toml")).expect("the shipped model");
+        let mut preprocessor = Preprocessor::new(&card.input);
+        bencher.iter(|| preprocessor.tensor(black_box(&frames[0].colour)).map(<[f32]>::len));
+    });
     criterion.bench_function("features/orb_1000_of_640x480", |bencher| {
         bencher.iter(|| extractor.extract(black_box(&frames[0].grey)));
     });

@@ -20,10 +20,10 @@ pub(super) struct RetrievedKeyframe {
     pub(super) score: f32,
 }
 
-/// Memory of a posting, with what lists keep in reserve.
-const POSTING_BYTES: usize = 12;
+/// Memory of a posting: two bytes, two more where a keyframe shows a word again, and a share of the word's list.
+const POSTING_BYTES: usize = 3;
 /// Memory of a keyframe besides its postings.
-const KEYFRAME_BYTES: usize = 48;
+const KEYFRAME_BYTES: usize = 56;
 
 #[derive(Clone, Copy)]
 struct IndexedKeyframe {
@@ -66,9 +66,9 @@ impl WordIndex {
         let learnt = grown.learn(descriptors, &quantised, vocabulary);
         let document = self.add(&grown_bow(&learnt, vocabulary));
         let Some(grown) = &mut self.grown else { return document };
-        for Offshoot { word, origin } in grown.purge() {
-            self.inverted.merge(word, origin);
-        }
+        let purged = grown.purge();
+        let renamed: Vec<_> = purged.iter().map(|offshoot| (offshoot.word, offshoot.origin)).collect();
+        self.inverted.rename(&renamed);
         document
     }
 

@@ -462,12 +462,12 @@ mod tests {
 
     #[test]
     fn places_that_memory_has_no_room_for_come_back_when_the_robot_approaches_them() {
-        let options = RecognitionOptions { memory_bytes: 70_000, place_interval: 0, ..no_interval() };
+        let options = RecognitionOptions { memory_bytes: 27_000, place_interval: 0, ..no_interval() };
         let mut robot = Robot::new(None, options, in_memory());
         let there: Vec<Option<PlaceId>> = (0..64).map(|place| robot.see(place, 0).place).collect();
         let working_places = robot.recogniser.working_places();
         assert!((8..40).contains(&working_places), "{working_places}");
-        assert!(robot.recogniser.index_bytes() < 70_000, "{}", robot.recogniser.index_bytes());
+        assert!(robot.recogniser.index_bytes() < 27_000, "{}", robot.recogniser.index_bytes());
         // Back to the beginning, step by step: each place brings the ones before it.
         let back: Vec<Option<PlaceId>> = (0..64).rev().map(|place| robot.see(place, 0).place).collect();
         assert_eq!(back, there.into_iter().rev().collect::<Vec<_>>());
@@ -479,7 +479,7 @@ mod tests {
         let mut robot = Robot::new(None, no_interval(), opened(folder.path()));
         let there: Vec<Option<PlaceId>> = (0..64).map(|place| robot.see(place, 0).place).collect();
         drop(robot);
-        let options = RecognitionOptions { memory_bytes: 70_000, read_only: true, ..no_interval() };
+        let options = RecognitionOptions { memory_bytes: 27_000, read_only: true, ..no_interval() };
         let map = PlaceMap::open_read_only(folder.path()).unwrap();
         let mut robot = Robot::new(None, options, map);
         assert!(robot.recogniser.working_places() < 40);

@@ -6,6 +6,20 @@ use crate::vocabulary::{Vocabulary, Weighting, WordId};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BowVector {
     entries: Vec<(WordId, f64)>,
+    /// How often each of the words counts.
+    repetitions: Vec<u16>,
+    /// L1 length before it was made 1.
+    length: f64,
+}
+
+/// A word of an image as it was before the image's vector was made as long as every other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct WeighedWord {
+    pub(super) word: WordId,
+    /// What the word weighs, in every image the same.
+    pub(super) weight: f32,
+    /// How often it counts.
+    pub(super) repetitions: u16,
 }
 
 impl BowVector {
@@ -30,26 +44,42 @@ impl BowVector {
         let mut words: Vec<(WordId, f64)> = words.into_iter().collect();
         words.sort_unstable_by_key(|word| word.0);
         let mut entries = Vec::with_capacity(words.len());
+        let mut repetitions = Vec::with_capacity(words.len());
         for run in words.chunk_by(|a, b| a.0 == b.0) {
             let (word, weight) = run[0];
-            let repetitions = if weighting.counts_repetitions() { run.len() } else { 1 };
+            let counted = if weighting.counts_repetitions() { run.len() } else { 1 };
             // A sum, not a product: the rounding differs.
-            let value = (1..repetitions).fold(weight, |sum, _| sum + weight);
+            let value = (1..counted).fold(weight, |sum, _| sum + weight);
             if value > 0.0 {
                 entries.push((word, value));
+                repetitions.push(u16::try_from(counted).unwrap_or(u16::MAX));
             }
         }
         let length: f64 = entries.iter().map(|entry| entry.1).sum();
         for (_, weight) in &mut entries {
             *weight /= length;
         }
-        Self { entries }
+        Self { entries, repetitions, length }
     }
 
     /// Words with their weights, sorted by word.
     #[must_use]
     pub fn entries(&self) -> &[(WordId, f64)] {
         &self.entries
+    }
+
+    /// L1 length that the weighed words have together.
+    pub(super) fn length(&self) -> f64 {
+        self.length
+    }
+
+    /// The words that weigh something also in 32 bits, sorted by word.
+    pub(super) fn weighed_words(&self) -> impl Iterator<Item = WeighedWord> {
+        let words = self.entries.iter().zip(&self.repetitions).filter(|((_, share), _)| *share as f32 > 0.0);
+        words.map(|(&(word, share), &repetitions)| {
+            let weight = (share * self.length / f64::from(repetitions)) as f32;
+            WeighedWord { word, weight, repetitions }
+        })
     }
 }
 

@@ -3,7 +3,10 @@
 use heapless::Vec as FixedVec;
 
 use super::BowVector;
-use super::posting_lists::{Posting, PostingLists};
+use super::block::{Block, BlockImage, MOST_IMAGES, Sums};
+use super::block_building::{NewPosting, Renames, merged, of_images};
+use super::bow::WeighedWord;
+use super::query::{Query, inverse_length};
 use crate::vocabulary::WordId;
 
 /// Most documents that a query answers with.
@@ -22,9 +25,12 @@ pub struct Retrieved {
     pub score: f32,
 }
 
-/// Postings that wait at most, while many images are added in a row: 12 bytes each, and as many again while they are
-/// sorted.
-const MOST_PENDING: usize = if cfg!(test) { 50 } else { 1 << 19 };
+/// Images that wait at most, while many are added in a row.
+const MOST_PENDING: usize = MOST_IMAGES / 16;
+/// Blocks of about one size that become one.
+const MERGED_AT_ONCE: usize = 4;
+/// Most postings of a block, in numbers of 16 bits: their positions are 32 bits wide.
+const MOST_POSTINGS: usize = u32::MAX as usize;
 /// Scores that are looked at together: few documents are better than the best ones so far.
 const SCORES_AT_ONCE: usize = 64;
 /// Share of the documents, and fewest, that may be removed before their postings are swept out.
@@ -32,51 +38,64 @@ const SWEEP_SHARE: usize = 8;
 const FEWEST_SWEPT: usize = 64;
 
 /// Images, each under its words.
+///
+/// They lie in blocks that do not change: new ones make a small block, and blocks of about the same size become one
+/// (as in O'Neil et al., *The log-structured merge-tree*, 1996), so that there are few and a posting is moved seldom.
 #[derive(Default)]
 pub struct InvertedIndex {
-    /// Each sorted by document.
-    postings: PostingLists,
-    /// Postings of the newest documents that are not in the lists yet: those lie far apart in memory, and each is
-    /// visited once for many images.
-    pending: Vec<(WordId, Posting)>,
-    /// Score of each document in the query under way; all zero in between.
-    accumulators: Vec<f32>,
+    /// In the order of adding.
+    blocks: Vec<Block>,
+    pending: Pending,
+    /// By document.
     is_removed: Vec<bool>,
     /// Documents that were removed and still have postings.
     unswept: Vec<u32>,
     /// Numbers of swept documents, to be given again.
     free: Vec<u32>,
+    query: Query,
+    /// Of the images of a block; all zero between queries.
+    sums: Vec<f32>,
+}
+
+/// The newest images, which are in no block yet.
+#[derive(Default)]
+struct Pending {
+    images: Vec<BlockImage>,
+    /// In the order of adding.
+    postings: Vec<NewPosting>,
 }
 
 impl InvertedIndex {
     /// Indexes an image. Numbers of removed ones are given again.
     pub fn add(&mut self, bow: &BowVector) -> DocumentId {
-        let reused = self.free.pop();
-        let document = reused.unwrap_or(self.accumulators.len() as u32);
-        let postings = weights(bow).map(|(word, weight)| (word, Posting { document, weight }));
-        if reused.is_some() {
-            // Nothing is pending while numbers are free: what freed them has settled it.
-            self.is_removed[document as usize] = false;
-            for (word, posting) in postings {
-                let postings = self.postings.get_mut(word);
-                let position = postings.partition_point(|known| known.document < document);
-                postings.insert(position, posting);
-            }
-        } else {
-            self.accumulators.push(0.0);
-            self.is_removed.push(false);
-            self.pending.extend(postings);
-            if self.pending.len() >= MOST_PENDING {
-                self.settle();
-            }
+        let document = self.free.pop().unwrap_or(self.is_removed.len() as u32);
+        match self.is_removed.get_mut(document as usize) {
+            Some(is_removed) => *is_removed = false,
+            None => self.is_removed.push(false),
+        }
+        let Pending { images, postings } = &mut self.pending;
+        let image = images.len() as u16;
+        images.push(BlockImage { document, inverse_length: inverse_length(bow) });
+        let posting =
+            |word: WeighedWord| NewPosting { word: word.word, image, repetitions: word.repetitions };
+        postings.extend(bow.weighed_words().map(posting));
+        if images.len() == MOST_PENDING {
+            self.settle();
         }
         DocumentId(document)
     }
 
-    /// Puts what is pending into the lists.
+    /// Puts what is pending into a block, and makes one block of several while there are enough.
     fn settle(&mut self) {
-        for run in sorted(std::mem::take(&mut self.pending)).chunk_by(|one, next| one.0 == next.0) {
-            self.postings.get_mut(run[0].0).extend(run.iter().map(|&(_, posting)| posting));
+        let Pending { images, postings } = std::mem::take(&mut self.pending);
+        if images.is_empty() {
+            return;
+        }
+        self.blocks.push(of_images(images, &sorted(postings)));
+        while let Some(first) = first_merged(&self.blocks) {
+            let block = merged(&self.blocks[first..], |_| true, &Renames::new());
+            self.blocks.truncate(first);
+            self.blocks.push(block);
         }
     }
 
@@ -99,27 +118,41 @@ impl InvertedIndex {
     /// Frees the memory of what was removed.
     pub fn sweep(&mut self) {
         self.settle();
-        let is_removed = &self.is_removed;
-        self.postings.retain(|posting| !is_removed[posting.document as usize]);
+        if self.unswept.is_empty() {
+            return;
+        }
+        let mut rest = std::mem::take(&mut self.blocks);
+        while !rest.is_empty() {
+            let left = rest.split_off(most_that_fit(rest.iter()));
+            let block = merged(&rest, |document| !self.is_removed[document as usize], &Renames::new());
+            self.blocks.extend(Some(block).filter(|block| !block.images().is_empty()));
+            rest = left;
+        }
         self.free.append(&mut self.unswept);
     }
 
     /// Whether some image shows `word`.
     #[must_use]
     pub fn shows(&self, word: WordId) -> bool {
-        !self.postings.get(word).is_empty() || self.pending.iter().any(|pending| pending.0 == word)
+        self.blocks.iter().any(|block| !block.postings_of(word).is_empty())
+            || self.pending.postings.iter().any(|pending| pending.word == word)
     }
 
-    /// From now on, what was indexed as `word` counts as `other`, with the weight that it has; the weights of an
-    /// image that shows both are added up. Where repetitions count (tf-idf, tf) and both words weigh the same, that
-    /// is as if they had been one from the start; where they do not (idf, binary), such an image counts it twice.
-    pub fn merge(&mut self, word: WordId, other: WordId) {
+    /// From now on, what was indexed as the first word of a pair counts as the other, which is the first of none, and
+    /// weighs what that weighs. If repetitions count (tf-idf, tf), it is as if they had been one from the start;
+    /// otherwise (idf, binary), an image that shows both counts it twice.
+    pub fn rename(&mut self, words: &[(WordId, WordId)]) {
+        if words.is_empty() {
+            return;
+        }
         self.settle();
-        for posting in self.postings.take(word) {
-            let postings = self.postings.get_mut(other);
-            match postings.binary_search_by_key(&posting.document, |known| known.document) {
-                Ok(position) => postings[position].weight += posting.weight,
-                Err(position) => postings.insert(position, posting),
+        for block in &mut self.blocks {
+            let mut renames = Renames::new();
+            for &(word, other) in words.iter().filter(|(word, _)| !block.postings_of(*word).is_empty()) {
+                renames.entry(other).or_default().push(word);
+            }
+            if !renames.is_empty() {
+                *block = merged(std::slice::from_ref(block), |_| true, &renames);
             }
         }
     }
@@ -127,7 +160,7 @@ impl InvertedIndex {
     /// Number of indexed images.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.accumulators.len() - self.free.len() - self.unswept.len()
+        self.is_removed.len() - self.free.len() - self.unswept.len()
     }
 
     /// Whether no image is indexed.
@@ -136,7 +169,20 @@ impl InvertedIndex {
         self.len() == 0
     }
 
-    /// The images that `wanted` accepts and that score best, best first, at most [`MAX_RETRIEVED`].
+    /// Bytes of memory that the index takes.
+    #[must_use]
+    pub fn memory_bytes(&self) -> usize {
+        let blocks: usize = self.blocks.iter().map(Block::memory_bytes).sum();
+        blocks
+            + size_of_val(self.pending.images.as_slice())
+            + size_of_val(self.pending.postings.as_slice())
+            + size_of_val(self.sums.as_slice())
+            + self.is_removed.len()
+            + size_of_val(self.free.as_slice())
+    }
+
+    /// The images that `wanted` accepts and that score best, best first, at most [`MAX_RETRIEVED`]; of equal ones those
+    /// first that were added first.
     ///
     /// For vectors of length one, 1 − ½ Σ|v − w| = Σ min(v, w) over the common words.
     pub fn query(
@@ -145,51 +191,81 @@ impl InvertedIndex {
         wanted: impl Fn(DocumentId) -> bool,
     ) -> FixedVec<Retrieved, MAX_RETRIEVED> {
         self.settle();
-        let accumulators = self.accumulators.as_mut_slice();
-        for (word, weight) in weights(bow) {
-            for posting in self.postings.get(word) {
-                accumulators[posting.document as usize] += weight.min(posting.weight);
-            }
-        }
-        // In the order of the documents, so that of equal scores the older one wins.
+        self.query.ask(bow);
+        self.sums.resize(MOST_IMAGES, 0.0);
         let mut best = FixedVec::new();
-        for (chunk, scores) in accumulators.chunks_mut(SCORES_AT_ONCE).enumerate() {
-            let worst =
-                if best.is_full() { best.last().map_or(0.0, |worst: &Retrieved| worst.score) } else { 0.0 };
-            let most = scores.iter().fold(0.0, |most: f32, &score| most.max(score));
-            if most > worst {
-                for (document, &score) in (chunk * SCORES_AT_ONCE..).zip(&*scores) {
-                    let found = Retrieved { document: DocumentId(document as u32), score };
-                    if score > 0.0 && !self.is_removed[document] && wanted(found.document) {
-                        insert_sorted(&mut best, found);
-                    }
-                }
+        let Some(sums) = self.sums.first_chunk_mut::<MOST_IMAGES>() else { return best };
+        let is_wanted = |id: DocumentId| !self.is_removed[id.0 as usize] && wanted(id);
+        for block in &self.blocks {
+            if block.score(&mut self.query, worst(&best), sums) {
+                collect(block, sums, is_wanted, &mut best);
             }
-            scores.fill(0.0);
         }
         best
     }
 }
 
-/// The words of an image that weigh something also in 32 bits.
-fn weights(bow: &BowVector) -> impl Iterator<Item = (WordId, f32)> {
-    bow.entries().iter().map(|&(word, weight)| (word, weight as f32)).filter(|&(_, weight)| weight > 0.0)
+/// Keeps the best images of a block that are wanted, and empties `sums`, their scores.
+fn collect(
+    block: &Block,
+    sums: &mut Sums,
+    is_wanted: impl Fn(DocumentId) -> bool,
+    best: &mut FixedVec<Retrieved, MAX_RETRIEVED>,
+) {
+    for (images, scores) in block.images().chunks(SCORES_AT_ONCE).zip(sums.chunks_mut(SCORES_AT_ONCE)) {
+        let most = scores.iter().fold(0.0, |most: f32, &score| most.max(score));
+        if most > worst(best) {
+            for (image, &score) in images.iter().zip(&*scores) {
+                let document = DocumentId(image.document);
+                if score > worst(best) && is_wanted(document) {
+                    insert_sorted(best, Retrieved { document, score });
+                }
+            }
+        }
+        scores.fill(0.0);
+    }
 }
 
-/// The same postings by word; those of one word stay in their order. So each list is visited once, and the lists in the
-/// order in which they lie.
-fn sorted(mut pending: Vec<(WordId, Posting)>) -> Vec<(WordId, Posting)> {
-    let most = pending.iter().map(|(word, _)| word.0).max().unwrap_or(0);
+/// The score that is to be beaten.
+fn worst(best: &FixedVec<Retrieved, MAX_RETRIEVED>) -> f32 {
+    best.last().filter(|_| best.is_full()).map_or(0.0, |worst| worst.score)
+}
+
+/// The first of the blocks at the end that are to become one: enough of them that are not larger than the last by a
+/// factor, or as many as fit into one.
+fn first_merged(blocks: &[Block]) -> Option<usize> {
+    let tier = |block: &Block| block.images().len().ilog(MERGED_AT_ONCE);
+    let last = tier(blocks.last()?);
+    let small = blocks.iter().rev().take_while(|block| tier(block) <= last);
+    let count = most_that_fit(small.clone());
+    let is_full = count < small.count();
+    (count >= if is_full { 2 } else { MERGED_AT_ONCE }).then(|| blocks.len() - count)
+}
+
+/// How many of the first blocks fit into one, at least one.
+fn most_that_fit<'a>(blocks: impl Iterator<Item = &'a Block>) -> usize {
+    let (mut images, mut postings) = (0, 0);
+    let fits = |block: &&Block| {
+        images += block.images().len();
+        postings += block.postings_len();
+        images <= MOST_IMAGES && postings <= MOST_POSTINGS
+    };
+    blocks.take_while(fits).count().max(1)
+}
+
+/// The same postings by word; those of one word stay in their order.
+fn sorted(mut pending: Vec<NewPosting>) -> Vec<NewPosting> {
+    let most = pending.iter().map(|posting| posting.word.0).max().unwrap_or(0);
     let digit_bits = (u32::BITS - most.leading_zeros()).div_ceil(2);
     let mut sorted = pending.clone();
     let mut ends = vec![0; (1 << digit_bits) + 1];
     for shift in [0, digit_bits] {
         let digit = |word: WordId| (word.0 >> shift) as usize & ((1 << digit_bits) - 1);
         ends.fill(0);
-        pending.iter().for_each(|&(word, _)| ends[digit(word) + 1] += 1);
+        pending.iter().for_each(|posting| ends[digit(posting.word) + 1] += 1);
         (1..ends.len()).for_each(|digit| ends[digit] += ends[digit - 1]);
         for &next in &pending {
-            let end = &mut ends[digit(next.0)];
+            let end = &mut ends[digit(next.word)];
             sorted[*end] = next;
             *end += 1;
         }
@@ -235,15 +311,19 @@ mod tests {
     proptest! {
         #[test]
         fn the_index_finds_what_comparing_with_every_image_finds(
-            images in proptest::collection::vec(proptest::collection::vec(0..20_u32, 1..12), 1..30),
+            images in proptest::collection::vec(proptest::collection::vec(0..20_u32, 1..12), 1..4 * MOST_IMAGES),
             query in proptest::collection::vec(0..20_u32, 1..12),
             unwanted in 0..30_u32,
+            asked_in_between in any::<bool>(),
         ) {
             let vocabulary = vocabulary();
             let bow = |words: &[u32]| BowVector::new(words.iter().copied().map(WordId), &vocabulary);
             let mut index = InvertedIndex::default();
             for image in &images {
                 index.add(&bow(image));
+                if asked_in_between {
+                    index.query(&BowVector::default(), |_| true);
+                }
             }
             let wanted = |document: DocumentId| document.0 != unwanted;
             let mut expected: Vec<(f32, usize)> = images.iter().enumerate()
@@ -272,23 +352,66 @@ mod tests {
         assert_eq!(found, (0..MAX_RETRIEVED as u32).collect::<Vec<_>>());
     }
 
+    proptest! {
+        #[test]
+        fn where_repetitions_count_a_renamed_word_counts_as_if_it_had_been_the_other_one_from_the_start(
+            images in proptest::collection::vec(proptest::collection::vec(0..200_u32, 1..12), 1..2 * MOST_IMAGES),
+            query in proptest::collection::vec(0..200_u32, 1..12),
+        ) {
+            // Words of a hundred and more, a third of them rare.
+            let others: Vec<_> = (100..200).map(|word| (WordId(word), WordId(word / 3))).collect();
+            let weighted = |words: &[u32], other: fn(u32) -> u32| {
+                BowVector::weighted(words.iter().map(|&word| (WordId(other(word)), 1.0)), Weighting::TfIdf)
+            };
+            let (mut renamed, mut expected) = (InvertedIndex::default(), InvertedIndex::default());
+            for image in &images {
+                renamed.add(&weighted(image, |word| word));
+                expected.add(&weighted(image, |word| if word < 100 { word } else { word / 3 }));
+            }
+            renamed.rename(&others);
+            prop_assert!(!(100..200).any(|word| renamed.shows(WordId(word))));
+            let query = weighted(&query, |word| word % 100);
+            prop_assert_eq!(renamed.query(&query, |_| true), expected.query(&query, |_| true));
+        }
+    }
+
     #[test]
-    fn where_repetitions_count_a_merged_word_counts_as_if_it_had_been_the_other_one_from_the_start() {
-        let weighted = |words: &[u32]| {
-            BowVector::weighted(words.iter().map(|&word| (WordId(word), 1.0)), Weighting::TfIdf)
+    fn blocks_stay_few_however_images_come() {
+        let bow = BowVector::weighted([(WordId(1), 1.0)], Weighting::TfIdf);
+        for at_once in [1, 3, 5, 17, 1000] {
+            let mut index = InvertedIndex::default();
+            for image in 0..10 * MOST_IMAGES {
+                index.add(&bow);
+                if image % at_once == 0 {
+                    index.settle();
+                }
+            }
+            let lengths: Vec<usize> = index.blocks.iter().map(|block| block.images().len()).collect();
+            assert_eq!(lengths.iter().sum::<usize>() + index.pending.images.len(), 10 * MOST_IMAGES);
+            assert!(lengths.iter().all(|&length| length <= MOST_IMAGES), "{lengths:?}");
+            // Three of each size, one, four and sixteen, and the full ones.
+            assert!(lengths.len() <= 9 + 14, "{lengths:?}");
+        }
+    }
+
+    #[test]
+    fn a_block_none_of_whose_images_is_good_enough_is_not_read_to_its_end() {
+        let weighted = |words: &[(u32, f64)]| {
+            let words = words.iter().map(|&(word, weight)| (WordId(word), weight));
+            BowVector::weighted(words, Weighting::TfIdf)
         };
-        let images: [&[u32]; 4] = [&[1, 2, 3], &[9, 2, 3], &[1, 9, 9], &[9]];
-        let (mut merged, mut expected) = (InvertedIndex::default(), InvertedIndex::default());
-        for image in images {
-            merged.add(&weighted(image));
-            let renamed: Vec<u32> = image.iter().map(|&word| if word == 9 { 1 } else { word }).collect();
-            expected.add(&weighted(&renamed));
-        }
-        merged.merge(WordId(9), WordId(1));
-        merged.merge(WordId(7), WordId(1));
-        for query in [&[1_u32] as &[u32], &[1, 1, 2], &[2, 3], &[9]] {
-            assert_eq!(merged.query(&weighted(query), |_| true), expected.query(&weighted(query), |_| true));
-        }
+        // The rare word weighs nine tenths.
+        let (both, frequent) = (weighted(&[(1, 9.0), (2, 1.0)]), weighted(&[(2, 1.0), (3, 9.0)]));
+        let mut index = InvertedIndex::default();
+        index.add(&frequent);
+        index.settle();
+        let mut query = Query::default();
+        query.ask(&both);
+        let mut sums = [0.0; MOST_IMAGES];
+        assert!(!index.blocks[0].score(&mut query, 0.5, &mut sums));
+        assert_eq!(sums, [0.0; MOST_IMAGES]);
+        assert!(index.blocks[0].score(&mut query, 0.05, &mut sums), "the frequent word alone reaches it");
+        assert!((sums[0] - 0.1).abs() < 1e-6);
     }
 
     proptest! {

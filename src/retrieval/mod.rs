@@ -4,9 +4,11 @@
 //! 1 − ½ Σ|vᵢ − wᵢ| (Nistér & Stewénius 2006), between 0 for nothing in common and 1 for equal. The
 //! inverted index visits only the postings of the words that the frame shows.
 
+mod block;
+mod block_building;
 mod bow;
 mod inverted_index;
-mod posting_lists;
+mod query;
 
 pub use bow::BowVector;
 pub use inverted_index::{DocumentId, InvertedIndex, MAX_RETRIEVED, Retrieved};

@@ -262,7 +262,7 @@ impl Descent {
         if self.word.is_none()
             && let Link::Children { first, children } = Link::from_bytes(tables.links[self.node as usize])
         {
-            kernel::prefetch(&tables.descriptors[first as usize..(first + children) as usize]);
+            kernel::prefetch(&tables.descriptors[first as usize..(first + children) as usize], usize::MAX);
         }
     }
 

@@ -1,0 +1,244 @@
+//! A block of images: their postings side by side, word by word, so many that the nearest caches hold their scores.
+//!
+//! A posting is the image's place in the block, in 16 bits, and nothing else where the image shows the word once. A
+//! word weighs the same in every image, so what two images share of it is known but for their lengths: those are
+//! multiplied in once an image and not once a posting.
+
+use super::bow::WeighedWord;
+use super::query::Query;
+use crate::kernel;
+use crate::vocabulary::WordId;
+
+/// Most images of a block.
+pub(super) const MOST_IMAGES: usize = if cfg!(test) { 64 } else { 1 << 14 };
+
+/// A number for each image of a block.
+pub(super) type Sums = [f32; MOST_IMAGES];
+
+/// Words that a page tells of.
+const PAGE_WORDS: u32 = u64::BITS;
+/// By how much sums of the same numbers may differ that were added up in another order.
+const ROUNDING: f32 = 1e-4;
+/// Words whose postings are asked of memory ahead of time, and how much of each: what is longer is read in a row.
+const AHEAD: usize = 12;
+const MOST_AHEAD_BYTES: usize = 1024;
+
+/// Images and the words that they show.
+#[derive(Debug, Default)]
+pub(super) struct Block {
+    images: Vec<BlockImage>,
+    /// Those of which some word is shown, in rising order.
+    pages: Vec<Page>,
+    /// One for every word that is shown, in rising order, and one where the last one ends.
+    lists: Vec<List>,
+    postings: Vec<u16>,
+}
+
+/// An image of a block.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct BlockImage {
+    pub(super) document: u32,
+    /// 1 / L1 length of its words; 0 where it shows none.
+    pub(super) inverse_length: f32,
+}
+
+/// Which of 64 words in a row are shown.
+#[derive(Clone, Copy, Debug)]
+struct Page {
+    /// The first of the words, divided by 64.
+    number: u32,
+    /// Position of the list of the first of them that is shown.
+    first_list: u32,
+    /// A bit a word.
+    shown: u64,
+}
+
+/// Where the postings of a word begin.
+#[derive(Clone, Copy, Debug, Default)]
+struct List {
+    once: u32,
+    repeated: u32,
+}
+
+/// Where the postings of a word are; all zero where no image shows it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Span {
+    once: u32,
+    repeated: u32,
+    end: u32,
+}
+
+/// The images that show a word, in rising order.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Postings<'a> {
+    /// Places in the block of those that show it once.
+    pub(super) once: &'a [u16],
+    /// Those of the others, each with how often they show it.
+    pub(super) repeated: &'a [[u16; 2]],
+}
+
+impl Postings<'_> {
+    pub(super) fn is_empty(&self) -> bool {
+        self.once.is_empty() && self.repeated.is_empty()
+    }
+}
+
+impl Block {
+    /// A block of these images, without their postings.
+    pub(super) fn new(images: Vec<BlockImage>) -> Self {
+        Self { images, lists: vec![List::default()], ..Self::default() }
+    }
+
+    /// In the order of adding.
+    pub(super) fn images(&self) -> &[BlockImage] {
+        &self.images
+    }
+
+    /// Length of all lists together, in numbers of 16 bits.
+    pub(super) fn postings_len(&self) -> usize {
+        self.postings.len()
+    }
+
+    /// Bytes of memory that it takes.
+    pub(super) fn memory_bytes(&self) -> usize {
+        size_of_val(self.images.as_slice())
+            + size_of_val(self.pages.as_slice())
+            + size_of_val(self.lists.as_slice())
+            + size_of_val(self.postings.as_slice())
+    }
+
+    /// Adds the postings of a word, a higher one than those before.
+    pub(super) fn push(&mut self, word: WordId, postings: Postings<'_>) {
+        let (number, bit) = (word.0 / PAGE_WORDS, 1 << (word.0 % PAGE_WORDS));
+        let first_list = self.lists.len() as u32 - 1;
+        match self.pages.last_mut().filter(|page| page.number == number) {
+            Some(page) => page.shown |= bit,
+            None => self.pages.push(Page { number, first_list, shown: bit }),
+        }
+        self.postings.extend_from_slice(postings.once);
+        self.lists[first_list as usize].repeated = self.postings.len() as u32;
+        self.postings.extend_from_slice(postings.repeated.as_flattened());
+        self.lists.push(List { once: self.postings.len() as u32, repeated: 0 });
+    }
+
+    /// Gives back what memory lists have in reserve.
+    pub(super) fn shrink(&mut self) {
+        self.pages.shrink_to_fit();
+        self.lists.shrink_to_fit();
+        self.postings.shrink_to_fit();
+    }
+
+    /// The words that some image shows, in rising order.
+    pub(super) fn words(&self) -> impl Iterator<Item = WordId> {
+        let of_page = |page: &Page| {
+            let Page { number, shown, .. } = *page;
+            (0..PAGE_WORDS).filter(move |bit| shown >> bit & 1 == 1).map(move |bit| number * PAGE_WORDS + bit)
+        };
+        self.pages.iter().flat_map(of_page).map(WordId)
+    }
+
+    /// Finds words in rising order.
+    pub(super) fn finder(&self) -> Finder<'_> {
+        Finder { block: self, page: 0 }
+    }
+
+    /// The postings of `word`; none if no image shows it.
+    pub(super) fn postings_of(&self, word: WordId) -> Postings<'_> {
+        let page = self.pages.partition_point(|page| page.number < word.0 / PAGE_WORDS);
+        Finder { block: self, page }.postings(word)
+    }
+
+    /// Where the postings of the list at this position are.
+    #[inline]
+    pub(super) fn span(&self, list: u32) -> Span {
+        let [List { once, repeated }, next] = [0, 1].map(|after| self.lists[list as usize + after]);
+        Span { once, repeated, end: next.once }
+    }
+
+    #[inline]
+    fn postings(&self, Span { once, repeated, end }: Span) -> Postings<'_> {
+        Postings {
+            once: &self.postings[once as usize..repeated as usize],
+            repeated: self.postings[repeated as usize..end as usize].as_chunks().0,
+        }
+    }
+
+    /// Scores every image against `query`: fills in what of `sums` it has images for, all zero before. If none of the
+    /// images scores above `least`, answers false, and `sums` stay zero.
+    pub(super) fn score(&self, query: &mut Query, least: f32, sums: &mut Sums) -> bool {
+        query.look_up(self);
+        // What is left for the more frequent words can lift a score by half of what is needed: is one that high?
+        let split = query.split(least / 2.0);
+        let (rare, frequent) = (0..split, split..query.len());
+        rare.for_each(|position| self.add(query, position, sums));
+        let left = query.left(split);
+        if !frequent.is_empty() && (self.best(query, sums) + left) * (1.0 + ROUNDING) < least {
+            sums[..self.images.len()].fill(0.0);
+            return false;
+        }
+        frequent.for_each(|position| self.add(query, position, sums));
+        for (sum, image) in sums.iter_mut().zip(&self.images) {
+            *sum *= image.inverse_length.min(query.inverse_length);
+        }
+        true
+    }
+
+    fn best(&self, query: &Query, sums: &Sums) -> f32 {
+        let scores = sums.iter().zip(&self.images);
+        scores.fold(0.0, |best, (sum, image)| best.max(sum * image.inverse_length.min(query.inverse_length)))
+    }
+
+    /// Adds to the sum of every image that shows the query's word at `position`, the rarest first, what both show of
+    /// it, by the shorter of their inverse lengths: Σ min(v, w) of the normalised vectors, once multiplied by that.
+    #[inline]
+    fn add(&self, query: &Query, position: usize, sums: &mut Sums) {
+        if position + AHEAD < query.len() {
+            let Span { once, end, .. } = query.word(position + AHEAD).1;
+            kernel::prefetch(&self.postings[once as usize..end as usize], MOST_AHEAD_BYTES);
+        }
+        let (WeighedWord { weight, repetitions, .. }, span) = query.word(position);
+        let Postings { once, repeated } = self.postings(span);
+        let shared = |image: u16, times: u16| {
+            let [asked, known] = [query.inverse_length, self.images[usize::from(image)].inverse_length];
+            weight * (f32::from(repetitions) * asked).min(f32::from(times) * known) / asked.min(known)
+        };
+        if repetitions == 1 {
+            for &image in once {
+                sums[usize::from(image) % MOST_IMAGES] += weight;
+            }
+        } else {
+            once.iter().for_each(|&image| sums[usize::from(image) % MOST_IMAGES] += shared(image, 1));
+        }
+        for &[image, times] in repeated {
+            sums[usize::from(image) % MOST_IMAGES] += shared(image, times);
+        }
+    }
+}
+
+/// Where the lists of words are that are asked for in rising order.
+pub(super) struct Finder<'a> {
+    block: &'a Block,
+    page: usize,
+}
+
+impl<'a> Finder<'a> {
+    /// Position of the list of `word`, if some image shows it; memory is asked for it.
+    #[inline]
+    pub(super) fn find(&mut self, word: WordId) -> Option<u32> {
+        let number = word.0 / PAGE_WORDS;
+        while self.block.pages.get(self.page).is_some_and(|page| page.number < number) {
+            self.page += 1;
+        }
+        let page = self.block.pages.get(self.page).filter(|page| page.number == number)?;
+        let bit = 1 << (word.0 % PAGE_WORDS);
+        let list = page.first_list + (page.shown & (bit - 1)).count_ones();
+        kernel::prefetch(&self.block.lists[list as usize..], size_of::<List>());
+        (page.shown & bit != 0).then_some(list)
+    }
+
+    /// The postings of `word`; none if no image shows it.
+    pub(super) fn postings(&mut self, word: WordId) -> Postings<'a> {
+        let list = self.find(word);
+        list.map_or_else(Postings::default, |list| self.block.postings(self.block.span(list)))
+    }
+}
