@@ -23,6 +23,11 @@ impl Point {
 /// `radians` wrapped into [−π, π).
 #[must_use]
 pub fn wrap_radians(radians: f32) -> f32 {
+    // What two wrapped angles differ by needs no division.
+    let near = if radians < -PI { radians + TAU } else if radians >= PI { radians - TAU } else { radians };
+    if (-PI..PI).contains(&near) {
+        return near;
+    }
     let wrapped = (radians + PI).rem_euclid(TAU) - PI;
     // rem_euclid may round up to TAU itself for tiny negative input.
     if wrapped >= PI { -PI } else { wrapped }

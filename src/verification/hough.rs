@@ -4,7 +4,6 @@
 //! of a coarser level is the finer index halved. A finest bin scores
 //! Σₗ 2^(−α l) · votes(bₗ), bₗ being the bin of level l that contains it (eq. 4).
 
-use std::collections::HashMap;
 use std::f32::consts::{PI, TAU};
 
 use heapless::Vec as FixedVec;
@@ -15,10 +14,11 @@ use crate::geometry::{Point, Similarity};
 /// Most hypotheses that are verified.
 pub(super) const MAX_HYPOTHESES: usize = 10;
 
-/// How the space of transforms is divided; COLMAP's values, with translations relative to the image.
+/// How the space of transforms is divided, at most into 256 bins an axis; COLMAP's values, with translations relative to
+/// the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HoughOptions {
-    /// Resolutions L; default 3.
+    /// Resolutions L, at most 8; default 3.
     pub levels: u32,
     /// α of eq. 4: a level weighs 2^(−α l); default 1.
     pub level_decay: f32,
@@ -38,32 +38,84 @@ impl Default for HoughOptions {
 
 const MAX_LOG_SCALE: f32 = std::f32::consts::LN_10;
 
+/// Most bins an axis, so that an index has so many bits.
+const MOST_BINS: u32 = 1 << INDEX_BITS;
+const INDEX_BITS: u32 = 8;
+
 /// A bin of the finest level: x, y, log s and θ indices.
 type Bin = [u32; 4];
 
-/// The mean transforms of the best bins with their votes (eq. 4), best first.
+/// What a correspondence votes for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Vote {
+    /// Index of the correspondence.
+    pair: u32,
+    transform: Similarity,
+}
+
+/// A transform that many correspondences vote for.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Hypothesis {
+    /// Eq. 4.
+    pub(super) score: f32,
+    /// The mean of its bin.
+    pub(super) transform: Similarity,
+    /// Indices of the correspondences in its bin.
+    pub(super) pairs: Vec<u32>,
+}
+
+/// The hypotheses of the best bins, best first.
 pub(super) fn hypotheses(
     correspondences: &[Correspondence],
     diagonal_px: f32,
     options: &HoughOptions,
-) -> FixedVec<(f32, Similarity), MAX_HYPOTHESES> {
-    let votes: Vec<(Bin, Similarity)> = correspondences
-        .iter()
-        .filter_map(|pair| {
-            let transform = Similarity::between(pair.query_point, pair.keyframe_point);
-            Some((bin_of(&transform, diagonal_px, options)?, transform))
-        })
-        .collect();
-    let mut scored: Vec<(f32, Bin)> = scores(&votes, options).into_iter().map(|(bin, s)| (s, bin)).collect();
-    scored.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let best = scored.into_iter().take(MAX_HYPOTHESES);
-    let of_bin = |bin| votes.iter().filter(move |vote| vote.0 == bin).map(|vote| vote.1);
-    best.map(|(score, bin)| (score, mean_transform(of_bin(bin)))).collect()
+) -> FixedVec<Hypothesis, MAX_HYPOTHESES> {
+    let mut votes = Vec::with_capacity(correspondences.len());
+    let mut ranks = Vec::with_capacity(correspondences.len());
+    for (pair, correspondence) in (0..).zip(correspondences) {
+        let transform = Similarity::between(correspondence.query_point, correspondence.keyframe_point);
+        if let Some(bin) = bin_of(&transform, diagonal_px, options) {
+            ranks.push(rank(bin, options.levels, votes.len()));
+            votes.push(Vote { pair, transform });
+        }
+    }
+    ranks.sort_unstable();
+    let mut best: FixedVec<(f32, &[u64]), MAX_HYPOTHESES> = FixedVec::new();
+    for (score, bin) in scores(&ranks, options) {
+        // Of bins that score the same those come first whose paths do.
+        let position = best.partition_point(|kept| kept.0 >= score);
+        if position < MAX_HYPOTHESES {
+            if best.is_full() {
+                best.pop();
+            }
+            // Cannot fail: there is room, and the position lies within.
+            let _ = best.insert(position, (score, bin));
+        }
+    }
+    let hypothesis = |(score, bin): (f32, &[u64])| {
+        let votes: Vec<&Vote> = bin.iter().map(|&rank| &votes[rank as u32 as usize]).collect();
+        let pairs = votes.iter().map(|vote| vote.pair).collect();
+        Hypothesis { score, transform: mean_transform(&votes), pairs }
+    };
+    best.into_iter().map(hypothesis).collect()
+}
+
+/// Where a vote stands among all of them: by the path to its bin (upper half), then by its index. The path has the
+/// indices of the coarsest bin, and behind them one bit an axis for every finer level. So the votes of one bin stand side
+/// by side, on every level.
+fn rank(bin: Bin, levels: u32, vote: usize) -> u64 {
+    let finer = levels.clamp(1, INDEX_BITS) - 1;
+    let coarsest = bin.iter().fold(0, |path, &index| path << (INDEX_BITS - finer) | u64::from(index >> finer));
+    let path = (0..finer).rev().fold(coarsest, |path, level| {
+        bin.iter().fold(path, |path, &index| path << 1 | u64::from(index >> level & 1))
+    });
+    path << u32::BITS | vote as u64
 }
 
 /// The finest bin of `transform`; `None` out of range.
 fn bin_of(transform: &Similarity, diagonal_px: f32, options: &HoughOptions) -> Option<Bin> {
     let index = |fraction: f32, bins: u32| {
+        let bins = bins.clamp(1, MOST_BINS);
         (0.0..1.0).contains(&fraction).then(|| ((fraction * bins as f32) as u32).min(bins - 1))
     };
     let along = |pixels: f32| (pixels / diagonal_px + 1.0) / 2.0;
@@ -75,27 +127,33 @@ fn bin_of(transform: &Similarity, diagonal_px: f32, options: &HoughOptions) -> O
     ])
 }
 
-/// Eq. 4 for every finest bin that got a vote.
-fn scores(votes: &[(Bin, Similarity)], options: &HoughOptions) -> HashMap<Bin, f32> {
-    let mut scores: HashMap<Bin, f32> = votes.iter().map(|vote| (vote.0, 0.0)).collect();
-    for level in 0..options.levels {
-        let coarse = |bin: &Bin| bin.map(|index| index >> level);
-        let mut counts: HashMap<Bin, u32> = HashMap::new();
-        for (bin, _) in votes {
-            *counts.entry(coarse(bin)).or_default() += 1;
-        }
+/// Eq. 4 for every finest bin that got a vote, with the ranks of its votes, which are sorted.
+fn scores<'a>(ranks: &'a [u64], options: &HoughOptions) -> impl Iterator<Item = (f32, &'a [u64])> {
+    let mut scores = vec![0.0; ranks.len()];
+    for level in 0..options.levels.min(INDEX_BITS) {
         let weight = (-options.level_decay * level as f32).exp2();
-        for (bin, score) in &mut scores {
-            *score += weight * counts[&coarse(bin)] as f32;
+        let finer_bits = u32::BITS + 4 * level;
+        let mut first = 0;
+        for bin in ranks.chunk_by(|one, next| one >> finer_bits == next >> finer_bits) {
+            let last = first + bin.len();
+            scores[first..last].iter_mut().for_each(|score| *score += weight * bin.len() as f32);
+            first = last;
         }
     }
-    scores
+    let bins = ranks.chunk_by(|one, next| one >> u32::BITS == next >> u32::BITS);
+    bins.scan(0, move |first, bin| {
+        let score = scores[*first];
+        *first += bin.len();
+        Some((score, bin))
+    })
 }
 
 /// The mean of translations and log scales, and the circular mean of angles.
-fn mean_transform(transforms: impl Iterator<Item = Similarity> + Clone) -> Similarity {
-    let count = transforms.clone().count().max(1) as f32;
-    let mean = |value: fn(&Similarity) -> f32| transforms.clone().map(|t| value(&t)).sum::<f32>() / count;
+fn mean_transform(votes: &[&Vote]) -> Similarity {
+    let transforms = votes.iter().map(|vote| &vote.transform);
+    let mean = |value: fn(&Similarity) -> f32| {
+        transforms.clone().map(value).sum::<f32>() / votes.len().max(1) as f32
+    };
     Similarity {
         scale: mean(|t| t.scale.ln()).exp(),
         rotation_radians: mean(|t| t.rotation_radians.sin()).atan2(mean(|t| t.rotation_radians.cos())),
@@ -113,10 +171,10 @@ mod tests {
     }
 
     /// Eq. 4 word for word: at each level count the votes whose coarse bin is the same.
-    fn score_by_definition(votes: &[(Bin, Similarity)], bin: Bin, options: &HoughOptions) -> f32 {
+    fn score_by_definition(bins: &[Bin], bin: Bin, options: &HoughOptions) -> f32 {
         let mut score = 0.0;
         for level in 0..options.levels {
-            let same = votes.iter().filter(|vote| (0..4).all(|d| vote.0[d] >> level == bin[d] >> level));
+            let same = bins.iter().filter(|other| (0..4).all(|d| other[d] >> level == bin[d] >> level));
             score += 2.0_f32.powf(-options.level_decay * level as f32) * same.count() as f32;
         }
         score
@@ -128,15 +186,23 @@ mod tests {
             raw in proptest::collection::vec(
                 (-400.0..400.0_f32, -400.0..400.0_f32, 0.2..5.0_f32, -3.1..3.1_f32), 1..40,
             ),
+            levels in 1..=INDEX_BITS,
         ) {
-            let options = HoughOptions::default();
-            let votes: Vec<(Bin, Similarity)> = raw.iter().map(|&(x, y, s, r)| {
-                let vote = transform(x, y, s, r);
-                (bin_of(&vote, 500.0, &options).unwrap(), vote)
-            }).collect();
-            for (bin, score) in scores(&votes, &options) {
-                prop_assert!((score - score_by_definition(&votes, bin, &options)).abs() < 1e-4);
+            let options = HoughOptions { levels, ..HoughOptions::default() };
+            let transforms: Vec<Similarity> = raw.iter().map(|&(x, y, s, r)| transform(x, y, s, r)).collect();
+            let bins: Vec<Bin> = transforms.iter().map(|t| bin_of(t, 500.0, &options).unwrap()).collect();
+            let mut ranks: Vec<u64> = (0..).zip(&bins).map(|(vote, &bin)| rank(bin, levels, vote)).collect();
+            ranks.sort_unstable();
+            let mut seen = 0;
+            for (score, of_bin) in scores(&ranks, &options) {
+                let votes: Vec<usize> = of_bin.iter().map(|&rank| rank as u32 as usize).collect();
+                let bin = bins[votes[0]];
+                let same: Vec<usize> = (0..bins.len()).filter(|&vote| bins[vote] == bin).collect();
+                prop_assert_eq!(&votes, &same);
+                prop_assert!((score - score_by_definition(&bins, bin, &options)).abs() < 1e-4);
+                seen += votes.len();
             }
+            prop_assert_eq!(seen, raw.len());
         }
     }
 
@@ -151,6 +217,7 @@ mod tests {
     #[test]
     fn angles_around_half_a_turn_do_not_average_to_zero() {
         let turned = [transform(0.0, 0.0, 1.0, 3.1), transform(0.0, 0.0, 1.0, -3.1)];
-        assert!(mean_transform(turned.into_iter()).rotation_radians.abs() > 3.0);
+        let votes = turned.map(|transform| Vote { pair: 0, transform });
+        assert!(mean_transform(&votes.each_ref()).rotation_radians.abs() > 3.0);
     }
 }

@@ -5,7 +5,7 @@
 //! Inliers crowded on one object prove little, so what counts are *effective* inliers: the cells of
 //! a grid over both images that hold at least one.
 
-use super::hough::{self, HoughOptions};
+use super::hough::{self, HoughOptions, Hypothesis};
 use super::{Correspondence, MatchingOptions, MatchingView, correspondences};
 use crate::geometry::{Affine, Point};
 
@@ -100,13 +100,23 @@ impl Check<'_> {
             return None;
         }
         let diagonal_px = self.query_diagonal_px.max(self.keyframe_diagonal_px);
-        let hypotheses = hough::hypotheses(self.pairs, diagonal_px, &self.options.hough);
-        let refined = hypotheses.iter().filter_map(|&(votes, hypothesis)| {
-            let (transform, inliers) = self.refine(hypothesis.into())?;
-            Some((votes, transform, inliers))
-        });
-        // Of equally good hypotheses the first, which got more votes.
-        refined.reduce(|best, next| if next.2.len() > best.2.len() { next } else { best })
+        let mut best: Option<(f32, Affine, Vec<u32>)> = None;
+        for Hypothesis { score, transform, pairs } in
+            hough::hypotheses(self.pairs, diagonal_px, &self.options.hough)
+        {
+            let inliers = best.as_ref().map_or(&[][..], |best| &best.2);
+            // The votes for one transform fall into several bins: it need not be refined from each.
+            if pairs.iter().all(|pair| inliers.binary_search(pair).is_ok()) {
+                continue;
+            }
+            // Of equally good hypotheses the first, which got more votes.
+            if let Some((transform, found)) = self.refine(transform.into())
+                && found.len() > inliers.len()
+            {
+                best = Some((score, transform, found));
+            }
+        }
+        best
     }
 
     /// Refits `hypothesis` to its loose inliers, then to its tight ones, and counts tightly.
