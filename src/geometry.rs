@@ -24,7 +24,13 @@ impl Point {
 #[must_use]
 pub fn wrap_radians(radians: f32) -> f32 {
     // What two wrapped angles differ by needs no division.
-    let near = if radians < -PI { radians + TAU } else if radians >= PI { radians - TAU } else { radians };
+    let near = if radians < -PI {
+        radians + TAU
+    } else if radians >= PI {
+        radians - TAU
+    } else {
+        radians
+    };
     if (-PI..PI).contains(&near) {
         return near;
     }
@@ -105,6 +111,19 @@ impl Affine {
     pub fn determinant(&self) -> f32 {
         let [a, b, c, d] = self.linear;
         a * d - b * c
+    }
+
+    /// The angle by which it turns, in radians: that of the rotation nearest to its linear part.
+    #[must_use]
+    pub fn rotation_radians(&self) -> f32 {
+        let [a, b, c, d] = self.linear;
+        (c - b).atan2(a + d)
+    }
+
+    /// The factor by which lengths grow, in the geometric mean of all directions.
+    #[must_use]
+    pub fn growth(&self) -> f32 {
+        self.determinant().abs().sqrt()
     }
 
     /// The inverse, or `None` if areas collapse.

@@ -6,7 +6,7 @@
 //! distance both ways, and clearly nearer than the second (Lowe's ratio test).
 
 use crate::feature::{Descriptor, Features};
-use crate::geometry::OrientedPoint;
+use crate::geometry::{OrientedPoint, Similarity};
 
 /// The features of one image with the group (a vocabulary node) of each; only features of the same
 /// group are compared.
@@ -29,6 +29,14 @@ pub struct Correspondence {
     pub query_point: OrientedPoint,
     /// Where it is in the keyframe.
     pub keyframe_point: OrientedPoint,
+}
+
+impl Correspondence {
+    /// The transform from the query image to the keyframe that it alone speaks for.
+    #[must_use]
+    pub fn transform(&self) -> Similarity {
+        Similarity::between(self.query_point, self.keyframe_point)
+    }
 }
 
 /// When two descriptors are taken for the same point.

@@ -8,7 +8,6 @@ use std::f32::consts::{PI, TAU};
 
 use heapless::Vec as FixedVec;
 
-use super::Correspondence;
 use crate::geometry::{Point, Similarity};
 
 /// Most hypotheses that are verified.
@@ -45,40 +44,30 @@ const INDEX_BITS: u32 = 8;
 /// A bin of the finest level: x, y, log s and θ indices.
 type Bin = [u32; 4];
 
-/// What a correspondence votes for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Vote {
-    /// Index of the correspondence.
-    pair: u32,
-    transform: Similarity,
-}
-
-/// A transform that many correspondences vote for.
+/// A transform that many vote for.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Hypothesis {
     /// Eq. 4.
     pub(super) score: f32,
     /// The mean of its bin.
     pub(super) transform: Similarity,
-    /// Indices of the correspondences in its bin.
+    /// Indices of the transforms in its bin.
     pub(super) pairs: Vec<u32>,
 }
 
-/// The hypotheses of the best bins, best first.
+/// The hypotheses of the best bins, best first, where every correspondence votes for the transform that it speaks for.
 pub(super) fn hypotheses(
-    correspondences: &[Correspondence],
+    transforms: &[Similarity],
     diagonal_px: f32,
     options: &HoughOptions,
 ) -> FixedVec<Hypothesis, MAX_HYPOTHESES> {
-    let mut votes = Vec::with_capacity(correspondences.len());
-    let mut ranks = Vec::with_capacity(correspondences.len());
-    for (pair, correspondence) in (0..).zip(correspondences) {
-        let transform = Similarity::between(correspondence.query_point, correspondence.keyframe_point);
-        if let Some(bin) = bin_of(&transform, diagonal_px, options) {
-            ranks.push(rank(bin, options.levels, votes.len()));
-            votes.push(Vote { pair, transform });
-        }
-    }
+    let paths = Paths::new(options.levels);
+    // By the path to its bin, then by its index.
+    let rank = |(vote, transform): (u32, &Similarity)| {
+        let bin = bin_of(transform, diagonal_px, options)?;
+        Some(u64::from(paths.to(bin)) << u32::BITS | u64::from(vote))
+    };
+    let mut ranks: Vec<u64> = (0..).zip(transforms).filter_map(rank).collect();
     ranks.sort_unstable();
     let mut best: FixedVec<(f32, &[u64]), MAX_HYPOTHESES> = FixedVec::new();
     for (score, bin) in scores(&ranks, options) {
@@ -93,23 +82,39 @@ pub(super) fn hypotheses(
         }
     }
     let hypothesis = |(score, bin): (f32, &[u64])| {
-        let votes: Vec<&Vote> = bin.iter().map(|&rank| &votes[rank as u32 as usize]).collect();
-        let pairs = votes.iter().map(|vote| vote.pair).collect();
-        Hypothesis { score, transform: mean_transform(&votes), pairs }
+        let pairs: Vec<u32> = bin.iter().map(|&rank| rank as u32).collect();
+        let transform = mean_transform(pairs.iter().map(|&pair| &transforms[pair as usize]));
+        Hypothesis { score, transform, pairs }
     };
     best.into_iter().map(hypothesis).collect()
 }
 
-/// Where a vote stands among all of them: by the path to its bin (upper half), then by its index. The path has the
-/// indices of the coarsest bin, and behind them one bit an axis for every finer level. So the votes of one bin stand side
-/// by side, on every level.
-fn rank(bin: Bin, levels: u32, vote: usize) -> u64 {
-    let finer = levels.clamp(1, INDEX_BITS) - 1;
-    let coarsest = bin.iter().fold(0, |path, &index| path << (INDEX_BITS - finer) | u64::from(index >> finer));
-    let path = (0..finer).rev().fold(coarsest, |path, level| {
-        bin.iter().fold(path, |path, &index| path << 1 | u64::from(index >> level & 1))
-    });
-    path << u32::BITS | vote as u64
+/// Paths to bins: the indices of the coarsest bin, and behind them one bit an axis for every finer level. So, of votes
+/// that are sorted by their paths, those of one bin stand side by side, on every level.
+struct Paths {
+    /// Levels below the coarsest.
+    finer: u32,
+    /// What the finer bits of an index are in a path, the last axis'.
+    spread: [u32; 1 << (INDEX_BITS - 1)],
+}
+
+impl Paths {
+    fn new(levels: u32) -> Self {
+        let finer = levels.clamp(1, INDEX_BITS) - 1;
+        let bit = |index: usize, level: u32| (index as u32 >> level & 1) << (4 * level);
+        let spread = std::array::from_fn(|index| (0..finer).fold(0, |path, level| path | bit(index, level)));
+        Self { finer, spread }
+    }
+
+    #[inline]
+    fn to(&self, bin: Bin) -> u32 {
+        let [mut coarse, mut fine] = [0, 0];
+        for index in bin {
+            coarse = coarse << (INDEX_BITS - self.finer) | index >> self.finer;
+            fine = fine << 1 | self.spread[(index & ((1 << self.finer) - 1)) as usize];
+        }
+        coarse << (4 * self.finer) | fine
+    }
 }
 
 /// The finest bin of `transform`; `None` out of range.
@@ -149,11 +154,9 @@ fn scores<'a>(ranks: &'a [u64], options: &HoughOptions) -> impl Iterator<Item = 
 }
 
 /// The mean of translations and log scales, and the circular mean of angles.
-fn mean_transform(votes: &[&Vote]) -> Similarity {
-    let transforms = votes.iter().map(|vote| &vote.transform);
-    let mean = |value: fn(&Similarity) -> f32| {
-        transforms.clone().map(value).sum::<f32>() / votes.len().max(1) as f32
-    };
+fn mean_transform<'a>(transforms: impl Iterator<Item = &'a Similarity> + Clone) -> Similarity {
+    let count = transforms.clone().count().max(1) as f32;
+    let mean = |value: fn(&Similarity) -> f32| transforms.clone().map(value).sum::<f32>() / count;
     Similarity {
         scale: mean(|t| t.scale.ln()).exp(),
         rotation_radians: mean(|t| t.rotation_radians.sin()).atan2(mean(|t| t.rotation_radians.cos())),
@@ -191,7 +194,9 @@ mod tests {
             let options = HoughOptions { levels, ..HoughOptions::default() };
             let transforms: Vec<Similarity> = raw.iter().map(|&(x, y, s, r)| transform(x, y, s, r)).collect();
             let bins: Vec<Bin> = transforms.iter().map(|t| bin_of(t, 500.0, &options).unwrap()).collect();
-            let mut ranks: Vec<u64> = (0..).zip(&bins).map(|(vote, &bin)| rank(bin, levels, vote)).collect();
+            let paths = Paths::new(levels);
+            let rank = |(vote, &bin): (u64, &Bin)| u64::from(paths.to(bin)) << u32::BITS | vote;
+            let mut ranks: Vec<u64> = (0..).zip(&bins).map(rank).collect();
             ranks.sort_unstable();
             let mut seen = 0;
             for (score, of_bin) in scores(&ranks, &options) {
@@ -217,7 +222,6 @@ mod tests {
     #[test]
     fn angles_around_half_a_turn_do_not_average_to_zero() {
         let turned = [transform(0.0, 0.0, 1.0, 3.1), transform(0.0, 0.0, 1.0, -3.1)];
-        let votes = turned.map(|transform| Vote { pair: 0, transform });
-        assert!(mean_transform(&votes.each_ref()).rotation_radians.abs() > 3.0);
+        assert!(mean_transform(turned.iter()).rotation_radians.abs() > 3.0);
     }
 }

@@ -4,10 +4,11 @@
 //! the paper's eqs. 1–4); the best hypotheses are checked against all pairs, refined, and counted
 //! (vote-and-verify, Schönberger et al., ACCV 2016).
 
+mod agreement;
 mod correspondence;
 mod hough;
 mod verify;
 
 pub use correspondence::{Correspondence, MatchingOptions, MatchingView, correspondences};
 pub use hough::HoughOptions;
-pub use verify::{Verification, VerificationOptions, verify};
+pub use verify::{Verification, VerificationOptions, verify, vote_and_verify};
