@@ -20,7 +20,7 @@ pub struct Preprocessor {
     input: InputCard,
     columns: Taps,
     rows: Taps,
-    /// One row of output height and source width, R G B interleaved.
+    /// One row of output height and source width, R G B interleaved, and a value more.
     row: Vec<f32>,
     /// `[3, height, width]`.
     tensor: Vec<f32>,
@@ -51,46 +51,74 @@ impl Preprocessor {
         }
         self.columns.prepare(width_px, self.input.width_px);
         self.rows.prepare(height_px, self.input.height_px);
-        self.row.resize(3 * width_px, 0.0);
-        for y in 0..self.input.height_px {
-            blend_rows(image, self.rows.of(y), &mut self.row);
-            self.write_row(y);
-        }
-        Ok(&self.tensor)
-    }
-
-    /// Horizontal pass over that row, into row `y` of the three planes.
-    fn write_row(&mut self, y: usize) {
-        let InputCard { width_px, height_px, mean, scale, .. } = self.input;
+        self.row.resize(3 * width_px + 1, 0.0);
+        let InputCard { width_px, height_px, .. } = self.input;
         let (red, rest) = self.tensor.split_at_mut(width_px * height_px);
         let (green, blue) = rest.split_at_mut(width_px * height_px);
-        for x in 0..width_px {
-            let (first, weights) = self.columns.of(x);
-            let (pixels, _) = self.row[3 * first..].as_chunks::<3>();
-            let mut sums = [0.0_f32; 3];
-            for (pixel, &weight) in pixels.iter().zip(weights) {
-                for channel in 0..3 {
-                    sums[channel] += weight * pixel[channel];
-                }
-            }
-            let at = y * width_px + x;
-            [red[at], green[at], blue[at]] = sums.map(|value| (value - mean) * scale);
+        let planes = red.chunks_mut(width_px).zip(green.chunks_mut(width_px).zip(blue.chunks_mut(width_px)));
+        for (y, (red, (green, blue))) in planes.enumerate() {
+            blend_rows(image, self.rows.of(y), &mut self.row);
+            blend_columns(&self.row, &self.columns, &self.input, [red, green, blue]);
         }
+        Ok(&self.tensor)
     }
 }
 
 for_every_processor! {
     /// Vertical pass: a row of the output, still as wide as the source.
-    fn blend_rows(image: &RgbImage, rows: (usize, &[f32]), row: &mut [f32]) = blend
+    fn blend_rows(image: &RgbImage, rows: (usize, &[f32]), row: &mut [f32]) = blend_row
 }
 
+for_every_processor! {
+    /// Horizontal pass over that row, into a row of each of the three planes.
+    fn blend_columns(row: &[f32], columns: &Taps, input: &InputCard, planes: [&mut [f32]; 3]) = blend_pixels
+}
+
+/// Values that are summed up at a time.
+const LANES: usize = 32;
+
 #[inline(always)]
-fn blend(image: &RgbImage, (first, weights): (usize, &[f32]), row: &mut [f32]) {
-    row.fill(0.0);
-    for (source_y, &weight) in (first..).zip(weights) {
-        for (sum, &value) in row.iter_mut().zip(image.row(source_y)) {
-            *sum += weight * f32::from(value);
+fn blend_row(image: &RgbImage, (first, weights): (usize, &[f32]), row: &mut [f32]) {
+    let length = 3 * image.width();
+    let mut x = 0;
+    while x + LANES <= length {
+        let mut sums = [0.0; LANES];
+        for (tap, &weight) in weights.iter().enumerate() {
+            let values = &image.row(first + tap)[x..x + LANES];
+            for lane in 0..LANES {
+                sums[lane] += weight * f32::from(values[lane]);
+            }
         }
+        row[x..x + LANES].copy_from_slice(&sums);
+        x += LANES;
+    }
+    for x in x..length {
+        let mut sum = 0.0;
+        for (tap, &weight) in weights.iter().enumerate() {
+            sum += weight * f32::from(image.row(first + tap)[x]);
+        }
+        row[x] = sum;
+    }
+}
+
+/// `row` has a value more than its pixels, so that the last one, too, can be read as four, which are summed up as fast as
+/// three.
+#[inline(always)]
+fn blend_pixels(row: &[f32], columns: &Taps, input: &InputCard, [red, green, blue]: [&mut [f32]; 3]) {
+    for (x, ((red, green), blue)) in red.iter_mut().zip(green).zip(blue).enumerate() {
+        let (first, weights) = columns.of(x);
+        let mut sums = [0.0_f32; 4];
+        let mut rest = &row[3 * first..];
+        for &weight in weights {
+            let Some(pixel) = rest.first_chunk::<4>() else { break };
+            for channel in 0..4 {
+                sums[channel] += weight * pixel[channel];
+            }
+            rest = &rest[3..];
+        }
+        *red = (sums[0] - input.mean) * input.scale;
+        *green = (sums[1] - input.mean) * input.scale;
+        *blue = (sums[2] - input.mean) * input.scale;
     }
 }
 
@@ -196,10 +224,18 @@ mod tests {
     fn rows_are_blended_the_same_to_the_bit_whatever_the_processor_offers() {
         let image = image(45, 7, 3);
         let weights = [0.1, 0.35, 0.3, 0.25];
-        let (mut newest, mut plain) = (vec![1.0; 135], vec![2.0; 135]);
+        let (mut newest, mut plain) = (vec![1.0; 136], vec![1.0; 136]);
         blend_rows(&image, (2, &weights), &mut newest);
-        blend(&image, (2, &weights), &mut plain);
+        blend_row(&image, (2, &weights), &mut plain);
         assert_eq!(newest, plain);
+        let (mut columns, input) = (Taps::default(), input(19, 1));
+        columns.prepare(45, 19);
+        let planes = |blend: fn(&[f32], &Taps, &InputCard, [&mut [f32]; 3])| {
+            let [mut red, mut green, mut blue] = [const { [0.0; 19] }; 3];
+            blend(&newest, &columns, &input, [&mut red, &mut green, &mut blue]);
+            [red, green, blue]
+        };
+        assert_eq!(planes(blend_columns), planes(blend_pixels));
     }
 
     #[test]
