@@ -92,12 +92,11 @@ fn blend_row(image: &RgbImage, (first, weights): (usize, &[f32]), row: &mut [f32
         row[x..x + LANES].copy_from_slice(&sums);
         x += LANES;
     }
-    for x in x..length {
-        let mut sum = 0.0;
+    for (x, sum) in (x..length).zip(&mut row[x..]) {
+        *sum = 0.0;
         for (tap, &weight) in weights.iter().enumerate() {
-            sum += weight * f32::from(image.row(first + tap)[x]);
+            *sum += weight * f32::from(image.row(first + tap)[x]);
         }
-        row[x] = sum;
     }
 }
 
