@@ -2,7 +2,7 @@
 //!
 //! Images are made up: 1,000 words each, drawn as often as the vocabulary's training images showed them. Every place is
 //! shown by one of them, or by 20 that have half their words in common. A query shows half the words of an image, those
-//! that its place has in common, and must find the place.
+//! that its place has in common, and must find the place. Images are added one by one, as a robot does.
 
 use std::path::Path;
 use std::time::Instant;
@@ -23,6 +23,8 @@ fn main() {
     if sizes.is_empty() {
         sizes = vec![1000, 10_000];
     }
+    // A place must be there that 20 images show.
+    sizes.retain(|&size| size >= SHOWN[1]);
     let world = World::new();
     println!(
         "| Images | Of a place | Postings | MB | Query, median, ms | 99 of 100, ms |\n|---:|---:|---:|---:|---:|---:|"
@@ -69,13 +71,16 @@ impl World {
 /// Queries an index of so many images, so many `shown` of every place.
 fn measure(images: usize, shown: usize, world: &World) {
     let mut index = InvertedIndex::default();
-    let mut postings = 0;
+    let (mut postings, mut slowest_ms) = (0, 0.0_f64);
     for view in 0..images {
         let bow = world.image(view / shown, view);
         postings += bow.entries().len();
+        let started = Instant::now();
         index.add(&bow);
+        // Asked for nothing, it puts the image where it is found.
+        index.query(&BowVector::default(), |_| true);
+        slowest_ms = slowest_ms.max(started.elapsed().as_secs_f64() * 1e3);
     }
-    index.query(&BowVector::default(), |_| true);
     let mut random = Pcg64::seed_from_u64(u64::MAX);
     let mut times_ms: Vec<f64> = (0..QUERIES)
         .map(|query| {
@@ -91,5 +96,5 @@ fn measure(images: usize, shown: usize, world: &World) {
     times_ms.sort_by(f64::total_cmp);
     let [median, most] = [QUERIES / 2, QUERIES * 99 / 100].map(|rank| times_ms[rank]);
     let mb = index.memory_bytes() as f64 / 1e6;
-    println!("| {images} | {shown} | {postings} | {mb:.1} | {median:.3} | {most:.3} |");
+    println!("| {images} | {shown} | {postings} | {mb:.1} | {median:.3} | {most:.3} | {slowest_ms:.1} |");
 }

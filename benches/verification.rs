@@ -1,4 +1,5 @@
-//! Votes and verifies 200 correspondences, 60 of them true or none: `cargo bench --no-default-features --bench verification`.
+//! Votes and verifies 200 correspondences, 60 of them true or none:
+//! `cargo bench --no-default-features --bench verification`.
 //!
 //! True ones move by one similarity transform, to within 0.7 px of their pyramid level, 6° and 0.4 of a level (standard
 //! deviations); all lie anywhere, at any of eight levels.

@@ -21,7 +21,7 @@ KEYFRAME = 56
 # What the robot's index may take by default.
 ROBOT_MEMORY = 256 << 20
 
-# A graph over descriptors (HNSW with m = 16): twice m links on its lowest layer, and the layers above, a 1/(m - 1) of it.
+# A graph over descriptors (HNSW, m = 16): twice m links on its lowest layer, and the layers above, 1/(m - 1) of it.
 GRAPH = 2 * 16 * 4 * (1 + 1 / 15)
 # A node of the engine: memory for vectors and graph, of 128 GB.
 NODE_MEMORY = 96e9
@@ -33,8 +33,8 @@ SHARD_MEDIAN, SHARD_P99 = 4.0, 20.0
 FALSE_SHARE, COMPARED = 0.005, 505
 # Keyframes within the circle of which a robot knows that it is in it: a site, or a tile of a city.
 TILE = 100_000
-# BENCHMARKS.md, "Queries as the map grows": nanoseconds and visits of a query of 1,000 words, an image of the map.
-POSTING_NS, VISITS = 2.2, 21.4
+# BENCHMARKS.md, "Queries as the map grows": a query of 1,000 words reads 21.4 postings of every image of 1,000 words.
+POSTING_NS, VISITS = 2.2, 21.4 * WORDS / 1000
 
 
 def size(count):
@@ -51,13 +51,14 @@ def row(name, value):
 def slowest_ms(fan_out, rng, queries=4000):
     """Median and 99th percentile of the slowest of so many shards, log-normal each."""
     sigma = math.log(SHARD_P99 / SHARD_MEDIAN) / 2.326
-    slowest = sorted(max(rng.lognormvariate(math.log(SHARD_MEDIAN), sigma) for _ in range(fan_out)) for _ in range(queries))
+    answer_ms = lambda: rng.lognormvariate(math.log(SHARD_MEDIAN), sigma)
+    slowest = sorted(max(answer_ms() for _ in range(fan_out)) for _ in range(queries))
     return slowest[queries // 2], slowest[queries * 99 // 100]
 
 
 def main():
     rng = random.Random(1)
-    shards = math.ceil(KEYFRAMES * (DESCRIPTOR + GRAPH) / NODE_MEMORY)
+    shards = max(1, math.ceil(KEYFRAMES * (DESCRIPTOR + GRAPH) / NODE_MEMORY))
     print(f"| {KEYFRAMES:,} keyframes | |\n|---|---:|")
     row("descriptors, 8 bits a value", size(KEYFRAMES * DESCRIPTOR))
     row("graph over them", size(KEYFRAMES * GRAPH))
@@ -66,15 +67,15 @@ def main():
     row("shards of 96 GB in memory, with replicas", f"{shards}, {shards * REPLICAS}")
     for fan_out in sorted({1, 2, shards}):
         median, most = slowest_ms(fan_out, rng)
-        row(f"slowest of {fan_out} shards, median and 99 of 100, simulated", f"{median:.1f}, {most:.1f} ms")
+        row(f"slowest answer of {fan_out} asked at once, median and 99 of 100, simulated", f"{median:.1f}, {most:.1f} ms")
     wrong = FALSE_SHARE / COMPARED
     row("keyframes of other places above the threshold, all asked", f"{KEYFRAMES * wrong:,.0f}")
     row(f"the same within a tile of {TILE:,}", f"{TILE * wrong:.1f}")
-    row("words instead, one core, a query", f"{KEYFRAMES * VISITS * POSTING_NS * 1e-9:.0f} s")
+    row("words instead, a query of 1,000 on one core", f"{KEYFRAMES * VISITS * POSTING_NS * 1e-9:.0f} s")
     row("up, a query", size(DESCRIPTOR))
     row("down, eight candidates with features", size(8 * FEATURES))
     robot = ROBOT_MEMORY // (WORDS * POSTING + KEYFRAME + DESCRIPTOR)
-    row(f"keyframes that a robot searches itself in {ROBOT_MEMORY >> 20} MiB", f"{robot:,}")
+    row(f"keyframes at most that a robot searches itself in {ROBOT_MEMORY >> 20} MiB", f"{robot:,}")
     row("their disk", size(robot * (FEATURES + DESCRIPTOR + 4 * WORDS)))
 
 

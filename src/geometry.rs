@@ -120,7 +120,7 @@ impl Affine {
         (c - b).atan2(a + d)
     }
 
-    /// The factor by which lengths grow, in the geometric mean of all directions.
+    /// The factor by which lengths grow: the geometric mean of the most and the least that they do in any direction.
     #[must_use]
     pub fn growth(&self) -> f32 {
         self.determinant().abs().sqrt()
@@ -165,6 +165,26 @@ mod tests {
         fn a_transform_between_two_features_takes_one_to_the_other(from in oriented_point(), to in oriented_point()) {
             let image = Similarity::between(from, to).apply(from.point);
             prop_assert!(image.distance_squared(to.point) < 1e-2);
+        }
+
+        #[test]
+        fn an_affine_transform_turns_and_grows_as_the_rotation_and_the_stretches_do_of_which_it_is_made(
+            turn in -3.0..3.0_f32, most in 0.5..4.0_f32, least in 0.2..0.5_f32, along in -3.0..3.0_f32,
+        ) {
+            // Stretched along a direction and across it (V·D·Vᵀ), then turned.
+            let (s, c) = along.sin_cos();
+            let stretched =
+                [most * c * c + least * s * s, (most - least) * c * s, most * s * s + least * c * c];
+            let (sine, cosine) = turn.sin_cos();
+            let linear = [
+                cosine * stretched[0] - sine * stretched[1],
+                cosine * stretched[1] - sine * stretched[2],
+                sine * stretched[0] + cosine * stretched[1],
+                sine * stretched[1] + cosine * stretched[2],
+            ];
+            let affine = Affine { linear, translation: Point::default() };
+            prop_assert!((affine.rotation_radians() - turn).abs() < 1e-3);
+            prop_assert!((affine.growth() - (most * least).sqrt()).abs() < 1e-3);
         }
 
         #[test]

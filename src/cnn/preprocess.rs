@@ -100,8 +100,8 @@ fn blend_row(image: &RgbImage, (first, weights): (usize, &[f32]), row: &mut [f32
     }
 }
 
-/// `row` has a value more than its pixels, so that the last one, too, can be read as four, which are summed up as fast as
-/// three.
+/// `row` has a value more than its pixels, so that the last one, too, can be read as four, which are summed up as fast
+/// as three.
 #[inline(always)]
 fn blend_pixels(row: &[f32], columns: &Taps, input: &InputCard, [red, green, blue]: [&mut [f32]; 3]) {
     for (x, ((red, green), blue)) in red.iter_mut().zip(green).zip(blue).enumerate() {
@@ -223,10 +223,10 @@ mod tests {
     fn rows_are_blended_the_same_to_the_bit_whatever_the_processor_offers() {
         let image = image(45, 7, 3);
         let weights = [0.1, 0.35, 0.3, 0.25];
-        let (mut newest, mut plain) = (vec![1.0; 136], vec![1.0; 136]);
+        let (mut newest, mut plain) = (vec![1.0; 136], vec![2.0; 136]);
         blend_rows(&image, (2, &weights), &mut newest);
         blend_row(&image, (2, &weights), &mut plain);
-        assert_eq!(newest, plain);
+        assert_eq!(newest[..135], plain[..135]);
         let (mut columns, input) = (Taps::default(), input(19, 1));
         columns.prepare(45, 19);
         let planes = |blend: fn(&[f32], &Taps, &InputCard, [&mut [f32]; 3])| {

@@ -7,11 +7,10 @@ const LINE_BYTES: usize = 64;
 /// where it cannot be told to.
 #[inline]
 pub fn prefetch<T>(items: &[T], most_bytes: usize) {
-    let length = items.len().min(most_bytes / size_of::<T>());
+    let item_bytes = size_of::<T>().max(1);
+    let items = &items[..items.len().min(most_bytes / item_bytes)];
     // The last item may lie on a line more.
-    for item in
-        items[..length].iter().step_by((LINE_BYTES / size_of::<T>()).max(1)).chain(items[..length].last())
-    {
+    for item in items.iter().step_by((LINE_BYTES / item_bytes).max(1)).chain(items.last()) {
         fetch(item);
     }
 }

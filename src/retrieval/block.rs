@@ -17,8 +17,6 @@ pub(super) type Sums = [f32; MOST_IMAGES];
 
 /// Words that a page tells of.
 const PAGE_WORDS: u32 = u64::BITS;
-/// By how much sums of the same numbers may differ that were added up in another order.
-const ROUNDING: f32 = 1e-4;
 /// Words whose postings are asked of memory ahead of time, and how much of each: what is longer is read in a row.
 const AHEAD: usize = 12;
 const MOST_AHEAD_BYTES: usize = 1024;
@@ -163,8 +161,8 @@ impl Block {
         }
     }
 
-    /// Scores every image against `query`: fills in what of `sums` it has images for, all zero before. If none of the
-    /// images scores above `least`, answers false, and `sums` stay zero.
+    /// Scores every image against `query`: fills in what of `sums` it has images for, all zero before. It may answer
+    /// false and leave them zero if none of the images scores above `least`.
     pub(super) fn score(&self, query: &mut Query, least: f32, sums: &mut Sums) -> bool {
         query.look_up(self);
         // What is left for the more frequent words can lift a score by half of what is needed: is one that high?
@@ -172,13 +170,15 @@ impl Block {
         let (rare, frequent) = (0..split, split..query.len());
         rare.for_each(|position| self.add(query, position, sums));
         let left = query.left(split);
-        if !frequent.is_empty() && (self.best(query, sums) + left) * (1.0 + ROUNDING) < least {
+        // Sums of the same numbers differ by that much at most when they are added up in another order.
+        let rounding = 2.0 * f32::EPSILON * query.len() as f32;
+        if !frequent.is_empty() && (self.best(query, sums) + left) * (1.0 + rounding) < least {
             sums[..self.images.len()].fill(0.0);
             return false;
         }
         frequent.for_each(|position| self.add(query, position, sums));
         for (sum, image) in sums.iter_mut().zip(&self.images) {
-            *sum *= image.inverse_length.min(query.inverse_length);
+            *sum = (*sum * image.inverse_length.min(query.inverse_length)).min(1.0);
         }
         true
     }

@@ -76,7 +76,8 @@ impl Query {
     }
 }
 
-/// 1 / L1 length of the words of `bow`; 0 if there are none.
+/// 1 / L1 length of the words of `bow`; 0 if there are none, or none that weighs something in 32 bits.
 pub(super) fn inverse_length(bow: &BowVector) -> f32 {
-    if bow.length() > 0.0 { (1.0 / bow.length()) as f32 } else { 0.0 }
+    let inverse_length = (1.0 / bow.length()) as f32;
+    if inverse_length.is_finite() { inverse_length } else { 0.0 }
 }

@@ -80,8 +80,8 @@ fn decode_jpeg(bytes: &[u8]) -> Result<RgbImage, String> {
     RgbImage::from_pixels(width, height, pixels).ok_or_else(|| "the JPEG is not RGB; convert it".to_owned())
 }
 
-/// Decoders fill what is missing of a cut JPEG with grey and say nothing. Inside a scan a 0xFF byte is always escaped, so
-/// the two bytes of the end marker behind the last scan's start are the marker: of the two, the end comes last.
+/// Decoders fill what is missing of a cut JPEG with grey and say nothing. Inside a scan a 0xFF byte is always escaped,
+/// so the two bytes of the end marker behind the last scan's start are the marker: of the two, the end comes last.
 fn has_end_of_image(bytes: &[u8]) -> bool {
     let is_start_or_end = |pair: &[u8]| pair == [0xFF, 0xDA] || pair == [0xFF, 0xD9];
     let last = bytes.windows(2).rposition(is_start_or_end);

@@ -1,5 +1,7 @@
 //! Which correspondences agree with a transform: tested side by side, several at once.
 
+use std::f32::consts::PI;
+
 use super::{Correspondence, VerificationOptions};
 use crate::geometry::{Affine, Similarity};
 use crate::kernel::for_every_processor;
@@ -60,7 +62,7 @@ impl Columns {
             max_keyframe_px_squared: tolerances_px[0].powi(2),
             max_query_px_squared: tolerances_px[1].powi(2),
             turn: [cosine, sine],
-            min_turn_cosine: options.max_turn_radians.cos(),
+            min_turn_cosine: min_cosine(options.max_turn_radians),
             growths: [growth / options.max_growth_ratio, growth * options.max_growth_ratio],
         };
         let mut agree = vec![0; self.growth.len()];
@@ -75,6 +77,11 @@ impl Columns {
         inliers.truncate(count);
         inliers
     }
+}
+
+/// The least cosine of angles up to so many radians; of half a turn on, any will do.
+fn min_cosine(max_radians: f32) -> f32 {
+    if max_radians < PI { max_radians.max(0.0).cos() } else { f32::NEG_INFINITY }
 }
 
 /// a, b, x, c, d and y of (x, y) ↦ (a·x + b·y + tx, c·x + d·y + ty).
@@ -170,6 +177,24 @@ mod tests {
                     prop_assert_eq!(found.contains(&index), least > 0.0, "{}", index);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn from_half_a_turn_on_features_may_be_turned_anyhow() {
+        let point = |angle_radians| OrientedPoint { point: Point::default(), scale: 1.0, angle_radians };
+        let pairs = [-3.0, -1.0, 0.0, 2.0, 3.1].map(|angle_radians| Correspondence {
+            query: 0,
+            keyframe: 0,
+            query_point: point(0.0),
+            keyframe_point: point(angle_radians),
+        });
+        let columns = Columns::new(&pairs, &pairs.each_ref().map(|pair| pair.transform()));
+        let same = Affine { linear: [1.0, 0.0, 0.0, 1.0], translation: Point::default() };
+        for (max_turn_radians, expected) in [(0.1, 1), (1.5, 2), (3.05, 4), (PI, 5), (7.0, 5)] {
+            let options = VerificationOptions { max_turn_radians, ..VerificationOptions::default() };
+            let found = columns.inliers(&same, [1.0; 2], &options);
+            assert_eq!(found.len(), expected, "{max_turn_radians}");
         }
     }
 

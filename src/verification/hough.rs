@@ -13,8 +13,8 @@ use crate::geometry::{Point, Similarity};
 /// Most hypotheses that are verified.
 pub(super) const MAX_HYPOTHESES: usize = 10;
 
-/// How the space of transforms is divided, at most into 256 bins an axis; COLMAP's values, with translations relative to
-/// the image.
+/// How the space of transforms is divided, into 256 bins an axis at most; COLMAP's values, with translations relative
+/// to the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HoughOptions {
     /// Resolutions L, at most 8; default 3.

@@ -26,9 +26,11 @@ pub struct VerificationOptions {
     pub loose_tolerance: f32,
     /// The same for the refitted transform; default 0.015.
     pub tight_tolerance: f32,
-    /// Largest angle in radians by which a feature may be turned otherwise than the transform turns it; default 0.6.
+    /// Largest angle in radians by which a feature may be turned otherwise than the transform turns it, π for any;
+    /// default 0.6.
     pub max_turn_radians: f32,
-    /// Largest ratio, either way, of how a feature grew to how the transform makes it grow; default 2.
+    /// Largest ratio, either way and so at least 1, of how a feature grew to how the transform makes it grow;
+    /// default 2.
     pub max_growth_ratio: f32,
     /// Largest change of area between the images, either way; default 6.
     pub max_area_ratio: f32,
@@ -77,8 +79,8 @@ pub fn verify(
     vote_and_verify(pairs, [query, keyframe].map(|view| view.features.diagonal_px()), options)
 }
 
-/// Verifies that these correspondences agree with one transform of an image into another, the diagonals of which have so
-/// many pixels.
+/// Verifies that these correspondences agree with one transform of the query image into the keyframe; their diagonals are
+/// in pixels.
 #[must_use]
 pub fn vote_and_verify(
     pairs: Vec<Correspondence>,
@@ -130,7 +132,7 @@ impl Check<'_> {
             hough::hypotheses(self.transforms, diagonal_px, &self.options.hough)
         {
             let inliers = best.as_ref().map_or(&[][..], |best| &best.2);
-            // The votes for one transform fall into several bins: it need not be refined from each.
+            // The votes for one transform fall into several bins: it is taken for that one, and not refined from each.
             if pairs.iter().all(|pair| inliers.binary_search(pair).is_ok()) {
                 continue;
             }
@@ -144,7 +146,7 @@ impl Check<'_> {
         best
     }
 
-    /// Refits `hypothesis` to its loose inliers, then to its tight ones, and counts tightly.
+    /// Refits `hypothesis` to its inliers, first loosely, then halfway, then tightly, and counts tightly.
     fn refine(&self, hypothesis: Affine) -> Option<(Affine, Vec<u32>)> {
         let loose = self.inliers(&hypothesis, self.options.loose_tolerance);
         let halfway = (self.options.loose_tolerance + self.options.tight_tolerance) / 2.0;

@@ -12,6 +12,9 @@ use crate::storage::{FileBytes, StorageError, replace_file};
 /// The level whose nodes serve as direct index, counted from the root.
 const DIRECT_INDEX_LEVEL: u32 = 2;
 
+/// Least weight that is not as good as none.
+const LEAST_WEIGHT: f64 = 1e-30;
+
 /// Largest weight that is believed; ln(N / Nᵢ) of a billion images is 21.
 const MAX_WEIGHT: f64 = 1e6;
 
@@ -238,7 +241,7 @@ impl Weights<'_> {
     #[inline]
     pub(crate) fn of(&self, word: WordId) -> f64 {
         let weight = self.0.get(word.0 as usize).map_or(0.0, |&bytes| f64::from_le_bytes(bytes));
-        if (0.0..MAX_WEIGHT).contains(&weight) { weight } else { 0.0 }
+        if (LEAST_WEIGHT..MAX_WEIGHT).contains(&weight) { weight } else { 0.0 }
     }
 }
 
