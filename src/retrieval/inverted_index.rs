@@ -1,5 +1,7 @@
 //! The inverted index: for every word the images that show it.
 
+use std::ops::Range;
+
 use heapless::Vec as FixedVec;
 
 use super::BowVector;
@@ -30,6 +32,8 @@ const MOST_PENDING: usize = MOST_IMAGES / 16;
 const MOST_PENDING_POSTINGS: usize = 1 << 20;
 /// The newest blocks, which are left as they are: words of images that were just added are renamed soon, if at all.
 const LEFT_APART: usize = 3;
+/// Images of a small block, which takes new ones in one by one.
+const SMALL: usize = MOST_IMAGES.div_ceil(256).next_multiple_of(4);
 /// Blocks of about one size that become one.
 const MERGED_AT_ONCE: usize = 4;
 /// Most postings of a block, in numbers of 16 bits: their positions are 32 bits wide.
@@ -42,7 +46,7 @@ const FEWEST_SWEPT: usize = 64;
 
 /// Images, each under its words.
 ///
-/// They lie in blocks that do not change: new ones make a small block, and blocks of about the same size become one
+/// They lie in blocks that do not change: new images make a small block, and blocks of about the same size become one
 /// (as in O'Neil et al., *The log-structured merge-tree*, 1996), so that there are few and a posting is moved seldom.
 #[derive(Default)]
 pub struct InvertedIndex {
@@ -96,11 +100,9 @@ impl InvertedIndex {
             return;
         }
         self.blocks.push(of_images(images, &sorted(postings)));
-        let mut end = self.blocks.len().saturating_sub(LEFT_APART);
-        while let Some(first) = first_merged(&self.blocks[..end]) {
-            let block = merged(&self.blocks[first..end], |_| true, &Renames::new());
-            self.blocks.splice(first..end, [block]);
-            end = first + 1;
+        while let Some(range) = next_merged(&self.blocks) {
+            let block = merged(&self.blocks[range.clone()], |_| true, &Renames::new());
+            self.blocks.splice(range, [block]);
         }
     }
 
@@ -241,15 +243,24 @@ fn worst(best: &FixedVec<Retrieved, MAX_RETRIEVED>) -> f32 {
     best.last().filter(|_| best.is_full()).map_or(0.0, |worst| worst.score)
 }
 
-/// The first of the blocks at the end that are to become one: enough of them that are not larger than the last by a
-/// factor, or as many as fit into one.
-fn first_merged(blocks: &[Block]) -> Option<usize> {
-    let tier = |block: &Block| block.images().len().ilog(MERGED_AT_ONCE);
-    let last = tier(blocks.last()?);
-    let small = blocks.iter().rev().take_while(|block| tier(block) <= last);
-    let count = most_that_fit(small.clone(), |_| true);
-    let is_full = count < small.count();
-    (count >= if is_full { 2 } else { MERGED_AT_ONCE }).then(|| blocks.len() - count)
+/// The blocks that are to become one, if any: the two newest while they are small; else enough of the newest of about one
+/// size, or as many as fit into one.
+fn next_merged(blocks: &[Block]) -> Option<Range<usize>> {
+    let len = |block: &Block| block.images().len();
+    let settled = &blocks[..blocks.len().saturating_sub(LEFT_APART)];
+    if let [.., before, last] = settled
+        && len(before) + len(last) <= SMALL
+    {
+        return Some(settled.len() - 2..settled.len());
+    }
+    // The last one waits until it is no longer small.
+    let end = settled.len() - usize::from(settled.last().is_some_and(|last| len(last) < SMALL));
+    let tier = |block: &Block| len(block).div_ceil(SMALL).ilog(MERGED_AT_ONCE);
+    let newest = tier(settled[..end].last()?);
+    let alike = settled[..end].iter().rev().take_while(|block| tier(block) <= newest);
+    let count = most_that_fit(alike.clone(), |_| true);
+    let is_full = count < alike.count();
+    (count >= if is_full { 2 } else { MERGED_AT_ONCE }).then(|| end - count..end)
 }
 
 /// How many of the first blocks fit into one with their images that are `wanted`, at least one.
@@ -401,8 +412,8 @@ mod tests {
             let lengths: Vec<usize> = index.blocks.iter().map(|block| block.images().len()).collect();
             assert_eq!(lengths.iter().sum::<usize>() + index.pending.images.len(), 10 * MOST_IMAGES);
             assert!(lengths.iter().all(|&length| length <= MOST_IMAGES), "{lengths:?}");
-            // Three of each size, one, four and sixteen, the newest, and the full ones.
-            assert!(lengths.len() <= 9 + LEFT_APART + 14, "{lengths:?}");
+            // The newest, a small one, three of four and of sixteen, and the full ones.
+            assert!(lengths.len() <= LEFT_APART + 1 + 6 + 14, "{lengths:?}");
         }
     }
 

@@ -79,8 +79,8 @@ pub fn verify(
     vote_and_verify(pairs, [query, keyframe].map(|view| view.features.diagonal_px()), options)
 }
 
-/// Verifies that these correspondences agree with one transform of the query image into the keyframe; their diagonals are
-/// in pixels.
+/// Verifies that these correspondences agree with one transform of the query image into the keyframe; their diagonals
+/// are in pixels.
 #[must_use]
 pub fn vote_and_verify(
     pairs: Vec<Correspondence>,
