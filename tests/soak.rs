@@ -29,11 +29,13 @@ const FRAMES_A_LOOK: u64 = 100_000;
 /// Frames after which the robot is carried elsewhere.
 const CARRIED_EVERY: u64 = 5_000;
 const DISK_BYTES: u64 = 64 << 20;
-const MEMORY_BYTES: usize = 3 << 20;
+const MEMORY_BYTES: usize = 7 << 18;
 /// Samples of memory that the report has.
 const SAMPLES: u64 = 20;
 /// Growth of memory that counts as flat, in KiB per 100,000 frames: a robot at 10 Hz gains 1.1 MiB a day at most.
 const FLAT_KIB: f64 = 128.0;
+/// Two of the steps by which glibc's heap grows: in a short run, what is less is no growth.
+const HEAP_STEPS_KIB: f64 = 264.0;
 /// Share of the frames since the last sample that must be recognised, in percent, once every place has been seen.
 const LEAST_RECOGNISED: f64 = 95.0;
 /// Frames in which the world is new to the robot: it is carried to every part of it.
@@ -189,5 +191,6 @@ fn a_million_frames_leave_memory_flat_and_the_map_within_its_budget() {
     }
     let kib_per_100_000 = slope(&samples[samples.len() / 2..]) * 1e5;
     println!("second half: {kib_per_100_000:+.1} KiB per 100,000 frames");
-    assert!(kib_per_100_000 < FLAT_KIB, "memory grows by {kib_per_100_000} KiB per 100,000 frames");
+    let flat_kib = FLAT_KIB.max(HEAP_STEPS_KIB / (frames as f64 / 2.0) * 1e5);
+    assert!(kib_per_100_000 < flat_kib, "memory grows by {kib_per_100_000} KiB per 100,000 frames");
 }
