@@ -47,7 +47,7 @@ const FEWEST_SWEPT: usize = 64;
 /// Images, each under its words.
 ///
 /// They lie in blocks that do not change: new images make a small block, and blocks of about the same size become one
-/// (as in O'Neil et al., *The log-structured merge-tree*, 1996), so that there are few, and what is old is moved seldom.
+/// (as in O'Neil et al., *The log-structured merge-tree*, 1996), so that there are few, and old postings move seldom.
 #[derive(Default)]
 pub struct InvertedIndex {
     /// In the order of adding.
