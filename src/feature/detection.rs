@@ -34,7 +34,8 @@ impl Corner {
 pub(super) struct CornerDetector {
     /// Scores of three rows in a row.
     scores: [Vec<u8>; 3],
-    is_maximum: Vec<bool>,
+    /// Columns of corners in one row.
+    maxima: Vec<usize>,
     cells: Vec<Vec<Corner>>,
     left_over: Vec<Corner>,
 }
@@ -56,23 +57,26 @@ impl CornerDetector {
     fn fill_cells(&mut self, level: &GreyImage, options: &OrbOptions) {
         let (width, height) = (level.width(), level.height());
         self.scores.iter_mut().for_each(|row| row.resize(width, 0));
-        self.is_maximum.resize(width, false);
         let columns = width.div_ceil(CELL_PX);
         self.cells.iter_mut().for_each(Vec::clear);
         let count = columns * height.div_ceil(CELL_PX);
         self.cells.resize_with(count.max(self.cells.len()), Vec::new);
         let inside = BORDER_PX..width.saturating_sub(BORDER_PX);
+        if inside.is_empty() {
+            return;
+        }
+        let around = inside.start - 1..inside.end + 1;
         for y in BORDER_PX - 1..(height + 1).saturating_sub(BORDER_PX) {
             self.scores.rotate_left(1);
-            kernel::corner_scores(level, y, options.fallback_threshold, &mut self.scores[2]);
+            kernel::corner_scores(level, y, options.fallback_threshold, around.clone(), &mut self.scores[2]);
             // Whether a score is the largest around is known one row later.
-            if y > BORDER_PX && !inside.is_empty() {
+            if y > BORDER_PX {
                 let [above, row, below] = &self.scores;
-                kernel::local_maxima([above, row, below], inside.clone(), &mut self.is_maximum);
+                kernel::local_maxima([above, row, below], inside.clone(), &mut self.maxima);
                 let y = y - 1;
-                for x in indices_of_true(&self.is_maximum) {
-                    let cell = &mut self.cells[y / CELL_PX * columns + x / CELL_PX];
-                    add(cell, Corner { x, y, response: row[x] }, options.threshold);
+                let cells = &mut self.cells[y / CELL_PX * columns..][..columns];
+                for &x in &self.maxima {
+                    add(&mut cells[x / CELL_PX], Corner { x, y, response: row[x] }, options.threshold);
                 }
             }
         }
@@ -113,14 +117,6 @@ impl CornerDetector {
         let taken_after = |turns| self.cells.iter().map(|cell| cell.len().min(turns)).sum::<usize>();
         (0..most).find(|&turns| taken_after(turns) >= count).unwrap_or(most)
     }
-}
-
-/// Where `flags` are set, as few are; the last ones, within the border, never.
-fn indices_of_true(flags: &[bool]) -> impl Iterator<Item = usize> {
-    const CHUNK: usize = 16;
-    let (chunks, _) = flags.as_chunks::<CHUNK>();
-    let any = (0..).zip(chunks).filter(|(_, flags)| **flags != [false; CHUNK]);
-    any.flat_map(|(chunk, _)| chunk * CHUNK..(chunk + 1) * CHUNK).filter(|&index| flags[index])
 }
 
 /// Adds a corner to those of its cell; weak ones count only as long as there is no strong one.
@@ -192,7 +188,7 @@ mod tests {
         let (width, height) = (level.width() as isize, level.height() as isize);
         let mut scores = vec![0; level.pixels().len()];
         for (y, row) in scores.chunks_mut(level.width()).enumerate() {
-            kernel::corner_scores(level, y, options.fallback_threshold, row);
+            kernel::corner_scores(level, y, options.fallback_threshold, 0..level.width(), row);
         }
         let score = |x: isize, y: isize| scores[(y * width + x) as usize];
         let border = BORDER_PX as isize;

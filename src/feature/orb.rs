@@ -87,14 +87,15 @@ impl OrbExtractor {
             height_px: frame.height() as u32,
             ..Features::default()
         };
+        let most = self.options.max_features.min(frame.pixels().len());
+        features.keypoints.reserve(most);
+        features.descriptors.reserve(most);
         self.pyramid.build(frame, &self.options);
-        for ((level, scale), &budget) in self.pyramid.levels(&self.options).zip(&self.budgets) {
+        for ((level, scale), &budget) in self.pyramid.levels(frame, &self.options).zip(&self.budgets) {
             self.detector.detect(level, &self.options, budget, &mut self.corners);
             if self.corners.is_empty() {
                 continue;
             }
-            features.keypoints.reserve(self.corners.len());
-            features.descriptors.reserve(self.corners.len());
             self.centroid.measure(level, &self.corners, &mut self.angles_radians);
             self.blur.blur_7x7(level, &mut self.blurred);
             brief::describe(&self.blurred, &self.corners, &self.angles_radians, &mut features.descriptors);

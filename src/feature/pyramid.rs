@@ -7,9 +7,10 @@ use crate::raster::GreyImage;
 /// Most pixels that a frame is enlarged to.
 const MOST_ENLARGED_PX: usize = 1 << 22;
 
-/// The levels of the frame that was built last, from the finest on.
+/// The levels of the frame that was built last.
 #[derive(Debug, Default)]
 pub(super) struct Pyramid {
+    /// From the finest on; where that is the frame itself, nothing lies in its place.
     levels: Vec<GreyImage>,
     /// Makes each level from the one before.
     resizers: Vec<Resizer>,
@@ -24,20 +25,29 @@ impl Pyramid {
         let (width, height) = (frame.width() * self.enlargement, frame.height() * self.enlargement);
         self.levels.resize_with(options.levels, || GreyImage::new(0, 0));
         self.resizers.resize_with(options.levels, Resizer::default);
-        for octave in 0..options.levels {
+        let first = usize::from(self.enlargement == 1);
+        for octave in first..options.levels {
             let shrink = options.scale_factor.powi(octave as i32);
             let size = |pixels: usize| (pixels as f32 / shrink).round() as usize;
             let (finer, level) = self.levels.split_at_mut(octave);
-            let (finer, level) = (finer.last().unwrap_or(frame), &mut level[0]);
-            level.reshape(size(width), size(height));
-            self.resizers[octave].resize_bilinear(finer, level);
+            let finer = finer[first..].last().unwrap_or(frame);
+            level[0].reshape(size(width), size(height));
+            self.resizers[octave].resize_bilinear(finer, &mut level[0]);
         }
     }
 
-    /// Every level, from the finest on, with the pixels of the frame that one of its pixels covers.
-    pub(super) fn levels(&self, options: &OrbOptions) -> impl Iterator<Item = (&GreyImage, f32)> {
-        let (enlargement, factor) = (self.enlargement as f32, options.scale_factor);
-        self.levels.iter().zip(0..).map(move |(level, octave)| (level, factor.powi(octave) / enlargement))
+    /// Every level of `frame`, of which they were built, from the finest on, with the pixels of the frame that one of its
+    /// pixels covers.
+    pub(super) fn levels<'a>(
+        &'a self,
+        frame: &'a GreyImage,
+        options: &OrbOptions,
+    ) -> impl Iterator<Item = (&'a GreyImage, f32)> {
+        let (enlargement, factor) = (self.enlargement, options.scale_factor);
+        self.levels.iter().zip(0..).map(move |(level, octave)| {
+            let level = if octave == 0 && enlargement == 1 { frame } else { level };
+            (level, factor.powi(octave) / enlargement as f32)
+        })
     }
 }
 
@@ -66,7 +76,7 @@ mod tests {
             let frame = GreyImage::new(width, height);
             pyramid.build(&frame, &options);
             let base = width.max(320) as f32;
-            let levels: Vec<_> = pyramid.levels(&options).collect();
+            let levels: Vec<_> = pyramid.levels(&frame, &options).collect();
             assert_eq!(levels.len(), 3);
             for (octave, (level, scale)) in (0..).zip(levels) {
                 assert_eq!(level.width(), (base / 1.2_f32.powi(octave)).round() as usize);

@@ -11,80 +11,64 @@ const RADIUS: usize = TAPS.len() / 2;
 /// Blurs images, in memory that it keeps from image to image.
 #[derive(Debug, Default)]
 pub struct Blur {
-    /// The weighted sums of a row's columns: their high bytes, and their low ones, with repeated edges.
-    sums: [Vec<u8>; 2],
+    /// A row blurred along its columns, with repeated edges.
+    between: Vec<u8>,
 }
 
 impl Blur {
-    /// Makes `blurred` what `image` is after a separable 7×7 Gaussian blur of σ = 2 px in 16-bit fixed point; borders
-    /// repeat the edge pixel.
+    /// Makes `blurred` what `image` is after a separable 7×7 Gaussian blur of σ = 2 px, rounded to whole grey values
+    /// after the columns and again after the rows; borders repeat the edge pixel.
     pub fn blur_7x7(&mut self, image: &GreyImage, blurred: &mut GreyImage) {
         blurred.reshape(image.width(), image.height());
-        self.sums.iter_mut().for_each(|bytes| bytes.resize(image.width() + 2 * RADIUS, 0));
+        self.between.resize(image.width() + 2 * RADIUS, 0);
         if image.width() > 0 {
-            blur(image, &mut self.sums, blurred);
+            blur(image, &mut self.between, blurred);
         }
     }
 }
 
 for_every_processor! {
-    fn blur(image: &GreyImage, sums: &mut [Vec<u8>; 2], blurred: &mut GreyImage) = blur_rows
+    fn blur(image: &GreyImage, between: &mut [u8], blurred: &mut GreyImage) = blur_rows
 }
 
 #[inline(always)]
-fn blur_rows(image: &GreyImage, [high, low]: &mut [Vec<u8>; 2], blurred: &mut GreyImage) {
+fn blur_rows(image: &GreyImage, between: &mut [u8], blurred: &mut GreyImage) {
     let width = image.width();
     for y in 0..image.height() {
         let row = |offset: usize| image.row((y + offset).saturating_sub(RADIUS).min(image.height() - 1));
         let rows = [row(0), row(1), row(2), row(3), row(4), row(5), row(6)];
-        for_lanes(0..width, ColumnSums { rows, high: &mut high[RADIUS..], low: &mut low[RADIUS..] });
-        repeat_edges(high);
-        repeat_edges(low);
-        for_lanes(0..width, RowSums { high, low, pixels: blurred.row_mut(y) });
+        for_lanes(0..width, AlongColumns { rows, pixels: &mut between[RADIUS..] });
+        repeat_edges(between);
+        for_lanes(0..width, AlongRow { row: between, pixels: blurred.row_mut(y) });
     }
 }
 
-/// The weighted sum of each column of seven pixels, at most 255 · 256, in two bytes.
-struct ColumnSums<'a> {
+/// The weighted mean of each column of seven pixels.
+struct AlongColumns<'a> {
     rows: [&'a [u8]; 7],
-    high: &'a mut [u8],
-    low: &'a mut [u8],
-}
-
-impl EachLane for ColumnSums<'_> {
-    #[inline(always)]
-    fn step<const N: usize>(&mut self, x: usize) {
-        let [a, b, c, d, e, f, g] = self.rows;
-        let sums = weigh::<N>([
-            lanes(a, x),
-            lanes(b, x),
-            lanes(c, x),
-            lanes(d, x),
-            lanes(e, x),
-            lanes(f, x),
-            lanes(g, x),
-        ]);
-        *lanes_mut(self.high, x) = narrow(&sums, 8);
-        *lanes_mut(self.low, x) = narrow(&sums, 0);
-    }
-}
-
-/// The weighted sum of seven neighbouring sums, rounded to a pixel; byte by byte, so that 16 bits hold it.
-struct RowSums<'a> {
-    high: &'a [u8],
-    low: &'a [u8],
     pixels: &'a mut [u8],
 }
 
-impl EachLane for RowSums<'_> {
+impl EachLane for AlongColumns<'_> {
     #[inline(always)]
     fn step<const N: usize>(&mut self, x: usize) {
-        let (high, low) = (weigh::<N>(seven_from(self.high, x)), weigh::<N>(seven_from(self.low, x)));
-        let mut sums = [0; N];
-        for i in 0..N {
-            sums[i] = high[i] + (low[i] >> 8) + (1 << 7);
-        }
-        *lanes_mut(self.pixels, x) = narrow(&sums, 8);
+        let [a, b, c, d, e, f, g] = self.rows;
+        let seven =
+            [lanes(a, x), lanes(b, x), lanes(c, x), lanes(d, x), lanes(e, x), lanes(f, x), lanes(g, x)];
+        *lanes_mut(self.pixels, x) = weigh::<N>(seven);
+    }
+}
+
+/// The weighted mean of seven neighbours in a row.
+struct AlongRow<'a> {
+    row: &'a [u8],
+    pixels: &'a mut [u8],
+}
+
+impl EachLane for AlongRow<'_> {
+    #[inline(always)]
+    fn step<const N: usize>(&mut self, x: usize) {
+        *lanes_mut(self.pixels, x) = weigh::<N>(seven_from(self.row, x));
     }
 }
 
@@ -95,28 +79,43 @@ fn seven_from<const N: usize>(row: &[u8], x: usize) -> [&[u8; N]; 7] {
     [lanes(row, 0), lanes(row, 1), lanes(row, 2), lanes(row, 3), lanes(row, 4), lanes(row, 5), lanes(row, 6)]
 }
 
-/// The sums of seven bytes, each weighted by its tap.
+/// The means of seven bytes, each weighted by its tap, rounded.
 #[inline(always)]
-fn weigh<const N: usize>([a, b, c, d, e, f, g]: [&[u8; N]; 7]) -> [u16; N] {
-    let mut sums = [0; N];
-    let pair = |a: u8, b: u8| u16::from(a) + u16::from(b);
-    for i in 0..N {
-        sums[i] = TAPS[0] * pair(a[i], g[i])
-            + TAPS[1] * pair(b[i], f[i])
-            + TAPS[2] * pair(c[i], e[i])
-            + TAPS[3] * u16::from(d[i]);
+fn weigh<const N: usize>(seven: [&[u8; N]; 7]) -> [u8; N] {
+    let mut means = [0; N];
+    if N % 2 == 1 {
+        for i in 0..N {
+            let [a, b, c, d, e, f, g] = seven.map(|bytes| u16::from(bytes[i]));
+            means[i] = rounded(weighted_sum(a, b, c, d, e, f, g)) as u8;
+        }
+        return means;
     }
-    sums
+    // Two bytes at a time, the lower and the upper one of 16 bits: no instruction has to widen them. The sum of the lower
+    // ones, which 16 bits hold, is what the sum of both leaves when that of the upper ones is taken away.
+    let [a, b, c, d, e, f, g] = seven.map(|bytes| bytes.as_chunks::<2>().0);
+    let (means_of_two, _) = means.as_chunks_mut::<2>();
+    for i in 0..N / 2 {
+        let word = |pairs: &[[u8; 2]]| u16::from_le_bytes(pairs[i]);
+        let (a, b, c, d, e, f, g) = (word(a), word(b), word(c), word(d), word(e), word(f), word(g));
+        let upper = weighted_sum(a >> 8, b >> 8, c >> 8, d >> 8, e >> 8, f >> 8, g >> 8);
+        let lower = weighted_sum(a, b, c, d, e, f, g).wrapping_sub(upper << 8);
+        means_of_two[i] = (rounded(lower) | rounded(upper) << 8).to_le_bytes();
+    }
+    means
 }
 
-/// The low bytes of the sums, shifted by so many bits.
+/// The sum of seven grey values, each weighted by its tap; of sixteen bits the lowest.
 #[inline(always)]
-fn narrow<const N: usize>(sums: &[u16; N], shift: u32) -> [u8; N] {
-    let mut bytes = [0; N];
-    for i in 0..N {
-        bytes[i] = (sums[i] >> shift) as u8;
-    }
-    bytes
+fn weighted_sum(a: u16, b: u16, c: u16, d: u16, e: u16, f: u16, g: u16) -> u16 {
+    let pair = |tap: u16, a: u16, b: u16| tap.wrapping_mul(a.wrapping_add(b));
+    let (outer, inner) = (pair(TAPS[0], a, g).wrapping_add(pair(TAPS[1], b, f)), pair(TAPS[2], c, e));
+    outer.wrapping_add(inner).wrapping_add(TAPS[3].wrapping_mul(d))
+}
+
+/// A weighted sum as a grey value.
+#[inline(always)]
+fn rounded(sum: u16) -> u16 {
+    (sum + (1 << 7)) >> 8
 }
 
 fn repeat_edges(padded: &mut [u8]) {
@@ -132,21 +131,16 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn blur_by_definition(image: &GreyImage, x: usize, y: usize) -> u8 {
-        let at = |x: isize, y: isize| {
-            let x = x.clamp(0, image.width() as isize - 1) as usize;
-            let y = y.clamp(0, image.height() as isize - 1) as usize;
-            u32::from(image.get(x, y))
+    fn by_definition(image: &GreyImage) -> Vec<u8> {
+        let (width, height) = (image.width(), image.height());
+        let mean = |of: &dyn Fn(usize) -> u8, at: usize, size: usize| {
+            let tap = |offset: usize| u32::from(of((at + offset).saturating_sub(3).min(size - 1)));
+            let sum: u32 = (0..).zip(TAPS).map(|(offset, weight)| u32::from(weight) * tap(offset)).sum();
+            ((sum + 128) / 256) as u8
         };
-        let mut sum = 0;
-        for (j, tap_y) in TAPS.into_iter().enumerate() {
-            for (i, tap_x) in TAPS.into_iter().enumerate() {
-                sum += u32::from(tap_x)
-                    * u32::from(tap_y)
-                    * at(x as isize + i as isize - 3, y as isize + j as isize - 3);
-            }
-        }
-        ((sum + (1 << 15)) >> 16) as u8
+        let along_column = |x: usize, y: usize| mean(&|y| image.get(x, y), y, height);
+        let pixel = |i: usize| mean(&|x| along_column(x, i / width), i % width, width);
+        (0..width * height).map(pixel).collect()
     }
 
     fn blurred(image: &GreyImage) -> GreyImage {
@@ -175,10 +169,9 @@ mod tests {
         fn the_blur_equals_its_definition(width in 1..80_usize, height in 1..12_usize, seed in any::<[u8; 32]>()) {
             let pixels = (0..width * height).map(|i| seed[i % 32].wrapping_mul(i as u8 | 1)).collect();
             let image = GreyImage::from_pixels(width, height, pixels).unwrap();
-            let at = |index: usize| blur_by_definition(&image, index % width, index / width);
-            let expected: Vec<u8> = (0..width * height).map(at).collect();
+            let expected = by_definition(&image);
             let mut plain = GreyImage::new(width, height);
-            blur_rows(&image, &mut [vec![0; width + 6], vec![0; width + 6]], &mut plain);
+            blur_rows(&image, &mut vec![0; width + 6], &mut plain);
             let blurred = blurred(&image);
             prop_assert_eq!(blurred.pixels(), &expected);
             prop_assert_eq!(plain.pixels(), &expected);

@@ -1,13 +1,14 @@
 //! Bilinear resize of grey images, for the levels of the pyramid.
 
 use super::dispatch::for_every_processor;
+use super::lanes::{EachLane, for_lanes, lanes, lanes_mut};
 use crate::raster::GreyImage;
 
 /// Weights are fixed-point numbers with this many fractional bits.
-const FRACTION_BITS: u32 = 11;
-const ONE: i32 = 1 << FRACTION_BITS;
-/// Half of what a grey value counts once it was weighted along both axes.
-const HALF: i32 = 1 << (2 * FRACTION_BITS - 1);
+const FRACTION_BITS: u32 = 7;
+const ONE: u16 = 1 << FRACTION_BITS;
+/// Half of what a grey value counts once it was weighted.
+const HALF: u16 = ONE / 2;
 /// Pixels of a row that are made at a time.
 const LANES: usize = 16;
 /// Of how many pixels each of them is made at least. Levels of 5/6 of the one before need five, sometimes six.
@@ -19,7 +20,7 @@ pub struct Resizer {
     rows: Vec<Tap>,
     columns: Columns,
     /// A row between two of the image, with room for [`LANES`] more at each end.
-    between: Vec<i32>,
+    between: Vec<u8>,
     /// Width and height before and after.
     sizes: [(usize, usize); 2],
 }
@@ -58,7 +59,7 @@ impl Resizer {
 struct Tap {
     first: usize,
     second: usize,
-    weight: i32,
+    weight: u16,
 }
 
 fn taps(from: usize, to: usize) -> Vec<Tap> {
@@ -67,7 +68,7 @@ fn taps(from: usize, to: usize) -> Vec<Tap> {
         let centre = (index as f64 + 0.5) * from as f64 / to as f64 - 0.5;
         let clamped = centre.clamp(0.0, last as f64);
         let first = clamped as usize;
-        let weight = ((clamped - first as f64) * f64::from(ONE)).round() as i32;
+        let weight = ((clamped - first as f64) * f64::from(ONE)).round() as u16;
         Tap { first, second: (first + 1).min(last), weight }
     };
     (0..to).map(tap).collect()
@@ -82,7 +83,7 @@ struct Columns {
     /// How many a pixel is made of.
     depth: usize,
     /// What each counts for each pixel, `depth` for every start.
-    weights: Vec<[i32; LANES]>,
+    weights: Vec<[u16; LANES]>,
 }
 
 impl Columns {
@@ -124,7 +125,8 @@ fn resize_rows(resizer: &mut Resizer, image: &GreyImage, resized: &mut GreyImage
     let Resizer { columns, rows, between, .. } = resizer;
     for (y, row) in rows.iter().enumerate() {
         let values = &mut between[LANES..LANES + image.width()];
-        mix_rows((image.row(row.first), image.row(row.second)), row.weight, values);
+        let rows = [image.row(row.first), image.row(row.second)];
+        for_lanes(0..values.len(), MixRows { rows, weight: row.weight, values });
         // Of weights whose number is known the sum needs no loop.
         match columns.depth {
             5 => make_row(columns, columns.weights.as_chunks::<5>().0, between, resized.row_mut(y)),
@@ -144,8 +146,8 @@ fn resize_rows(resizer: &mut Resizer, image: &GreyImage, resized: &mut GreyImage
 #[inline(always)]
 fn make_row<const DEPTH: usize>(
     columns: &Columns,
-    weights: &[[[i32; LANES]; DEPTH]],
-    values: &[i32],
+    weights: &[[[u16; LANES]; DEPTH]],
+    values: &[u8],
     pixels: &mut [u8],
 ) {
     for ((pixels, &start), weights) in pixels.chunks_mut(LANES).zip(&columns.starts).zip(weights) {
@@ -153,37 +155,50 @@ fn make_row<const DEPTH: usize>(
     }
 }
 
-#[inline(always)]
-fn mix_rows((upper, lower): (&[u8], &[u8]), weight: i32, values: &mut [i32]) {
-    for ((value, &upper), &lower) in values.iter_mut().zip(upper).zip(lower) {
-        *value = i32::from(upper) * (ONE - weight) + i32::from(lower) * weight;
+/// Makes a row between two, of which the second has this weight.
+struct MixRows<'a> {
+    rows: [&'a [u8]; 2],
+    weight: u16,
+    values: &'a mut [u8],
+}
+
+impl EachLane for MixRows<'_> {
+    #[inline(always)]
+    fn step<const N: usize>(&mut self, x: usize) {
+        let (upper, lower) = (lanes::<N>(self.rows[0], x), lanes::<N>(self.rows[1], x));
+        let mut sums = [HALF; N];
+        for i in 0..N {
+            sums[i] += u16::from(upper[i]) * (ONE - self.weight) + u16::from(lower[i]) * self.weight;
+        }
+        *lanes_mut(self.values, x) = whole(&sums);
     }
 }
 
 /// Makes up to [`LANES`] pixels of as many values, and those that begin one after them, and so on.
 #[inline(always)]
-fn make(pixels: &mut [u8], values: &[i32], weights: &[[i32; LANES]]) {
+fn make(pixels: &mut [u8], values: &[u8], weights: &[[u16; LANES]]) {
     let values = &values[..weights.len() + LANES - 1];
     let mut sums = [HALF; LANES];
     for (offset, weights) in weights.iter().enumerate() {
         let values = &values[offset..offset + LANES];
         for lane in 0..LANES {
-            sums[lane] += values[lane] * weights[lane];
+            sums[lane] += u16::from(values[lane]) * weights[lane];
         }
     }
     match pixels.as_mut_array::<LANES>() {
-        Some(pixels) => *pixels = rounded(&sums),
-        None => pixels.copy_from_slice(&rounded(&sums)[..pixels.len()]),
+        Some(pixels) => *pixels = whole(&sums),
+        None => pixels.copy_from_slice(&whole(&sums)[..pixels.len()]),
     }
 }
 
+/// Weighted sums as grey values.
 #[inline(always)]
-fn rounded(sums: &[i32; LANES]) -> [u8; LANES] {
-    let mut rounded = [0; LANES];
-    for lane in 0..LANES {
-        rounded[lane] = (sums[lane] >> (2 * FRACTION_BITS)) as u8;
+fn whole<const N: usize>(sums: &[u16; N]) -> [u8; N] {
+    let mut whole = [0; N];
+    for i in 0..N {
+        whole[i] = (sums[i] >> FRACTION_BITS) as u8;
     }
-    rounded
+    whole
 }
 
 #[cfg(test)]
@@ -202,16 +217,16 @@ mod tests {
         GreyImage::from_pixels(width, height, pixels).unwrap()
     }
 
-    /// Four neighbours, each weighted along both axes, and rounded.
+    /// A row between two, rounded, and in it a pixel between two.
     fn by_definition(image: &GreyImage, width: usize, height: usize) -> Vec<u8> {
         let columns = taps(image.width(), width);
+        let between = |[first, second]: [u8; 2], weight: u16| {
+            let sum = u32::from(first) * u32::from(ONE - weight) + u32::from(second) * u32::from(weight);
+            ((sum + 64) / 128) as u8
+        };
         let pixel = |row: &Tap, column: &Tap| {
-            let along = |y: usize| {
-                let [first, second] = [column.first, column.second].map(|x| i32::from(image.get(x, y)));
-                first * (ONE - column.weight) + second * column.weight
-            };
-            let sum = along(row.first) * (ONE - row.weight) + along(row.second) * row.weight;
-            ((sum + HALF) >> (2 * FRACTION_BITS)) as u8
+            let at = |x| between([row.first, row.second].map(|y| image.get(x, y)), row.weight);
+            between([column.first, column.second].map(at), column.weight)
         };
         let rows = taps(image.height(), height);
         rows.iter().flat_map(|row| columns.iter().map(move |column| pixel(row, column))).collect()

@@ -33,20 +33,23 @@ const CIRCLE: [(isize, isize); 16] = [
 const RADIUS: usize = 3;
 
 for_every_processor! {
-    /// Writes into `scores` the corner score of each pixel of row `y` of `image`: the largest threshold at which it
-    /// passes the FAST-9 test, or 0 where that is below `threshold` or closer than 3 px to the border.
-    pub fn corner_scores(image: &GreyImage, y: usize, threshold: u8, scores: &mut [u8]) = score_row
+    /// Writes into `scores` the corner score of each of `columns` in row `y` of `image`: the largest threshold at which
+    /// it passes the FAST-9 test, or 0 where that is below `threshold` or closer than 3 px to the border.
+    pub fn corner_scores(image: &GreyImage, y: usize, threshold: u8, columns: Range<usize>, scores: &mut [u8]) = score_row
 }
 
 #[inline(always)]
-fn score_row(image: &GreyImage, y: usize, threshold: u8, scores: &mut [u8]) {
+fn score_row(image: &GreyImage, y: usize, threshold: u8, columns: Range<usize>, scores: &mut [u8]) {
     let (width, height) = (image.width(), image.height());
-    scores.fill(0);
-    if width > 2 * RADIUS && y >= RADIUS && y + RADIUS < height {
-        let row = |offset: usize| image.row(y + offset - RADIUS);
-        let rows = [row(0), row(1), row(2), row(3), row(4), row(5), row(6)];
-        for_lanes(RADIUS..width - RADIUS, Scores { rows, threshold, scores });
+    let inside = columns.start.max(RADIUS)..columns.end.min(width.saturating_sub(RADIUS));
+    if inside.is_empty() || y < RADIUS || y + RADIUS >= height {
+        return scores[columns].fill(0);
     }
+    scores[columns.start..inside.start].fill(0);
+    scores[inside.end..columns.end].fill(0);
+    let row = |offset: usize| image.row(y + offset - RADIUS);
+    let rows = [row(0), row(1), row(2), row(3), row(4), row(5), row(6)];
+    for_lanes(inside, Scores { rows, threshold, scores });
 }
 
 /// What a function of an index answers for each of sixteen, written out: a loop over them would go through memory.
@@ -94,14 +97,17 @@ impl EachLane for Scores<'_> {
         };
         let ring = sixteen!(pixels);
         if !may_have_corner::<N>(centre, &ring, self.threshold) {
+            *lanes_mut(self.scores, x) = [0; N];
             return;
         }
-        let brighter = |index: usize| subtract::<N>(ring[index], centre);
-        let darker = |index: usize| subtract::<N>(centre, ring[index]);
-        let (brighter, darker) = (strongest_arc(&sixteen!(brighter)), strongest_arc(&sixteen!(darker)));
+        let pixels = |index: usize| *ring[index];
+        let ring = sixteen!(pixels);
+        let (brightest, darkest) = (brightest_arc(&ring), darkest_arc(&ring));
         let mut scores = [0; N];
         for lane in 0..N {
-            let largest = brighter[lane].max(darker[lane]).saturating_sub(1);
+            let brighter = brightest[lane].saturating_sub(centre[lane]);
+            let darker = centre[lane].saturating_sub(darkest[lane]);
+            let largest = brighter.max(darker).saturating_sub(1);
             scores[lane] = if largest >= self.threshold { largest } else { 0 };
         }
         *lanes_mut(self.scores, x) = scores;
@@ -123,24 +129,14 @@ fn may_have_corner<const N: usize>(centre: &[u8; N], ring: &[&[u8; N]; 16], thre
     most > threshold
 }
 
-/// How much brighter `a` is than `b`.
-#[inline(always)]
-fn subtract<const N: usize>(a: &[u8; N], b: &[u8; N]) -> [u8; N] {
-    let mut difference = [0; N];
-    for lane in 0..N {
-        difference[lane] = a[lane].saturating_sub(b[lane]);
-    }
-    difference
-}
-
-/// The largest, over all arcs of nine around the ring, of the smallest difference on the arc.
+/// The largest, over all arcs of nine around the ring, of the smallest pixel on the arc.
 ///
 /// Arcs that begin at 2k and 2k + 1 share eight pixels, so that eight minima of eight are enough for sixteen arcs.
 #[inline(always)]
-fn strongest_arc<const N: usize>(differences: &[[u8; N]; 16]) -> [u8; N] {
-    let mut strongest = [0; N];
+fn brightest_arc<const N: usize>(ring: &[[u8; N]; 16]) -> [u8; N] {
+    let mut brightest = [0; N];
     for lane in 0..N {
-        let at = |index: usize| differences[index % 16][lane];
+        let at = |index: usize| ring[index % 16][lane];
         let two = |index: usize| at(index).min(at(index + 1));
         let four = |index: usize| two(index).min(two(index + 2));
         let mut best = 0;
@@ -148,26 +144,44 @@ fn strongest_arc<const N: usize>(differences: &[[u8; N]; 16]) -> [u8; N] {
             let shared = four(start + 1).min(four(start + 5));
             best = shared.min(at(start).max(at(start + 9))).max(best);
         }
-        strongest[lane] = best;
+        brightest[lane] = best;
     }
-    strongest
+    brightest
+}
+
+/// The smallest, over all arcs of nine around the ring, of the largest pixel on the arc.
+#[inline(always)]
+fn darkest_arc<const N: usize>(ring: &[[u8; N]; 16]) -> [u8; N] {
+    let mut darkest = [0; N];
+    for lane in 0..N {
+        let at = |index: usize| ring[index % 16][lane];
+        let two = |index: usize| at(index).max(at(index + 1));
+        let four = |index: usize| two(index).max(two(index + 2));
+        let mut best = u8::MAX;
+        for start in (0..16).step_by(2) {
+            let shared = four(start + 1).max(four(start + 5));
+            best = shared.max(at(start).min(at(start + 9))).min(best);
+        }
+        darkest[lane] = best;
+    }
+    darkest
 }
 
 for_every_processor! {
-    /// Writes into `is_maximum`, for each of `columns`, whether its score in the middle one of three `rows` is positive
-    /// and beats those of its eight neighbours; of equal ones the first wins, row by row.
-    pub fn local_maxima(rows: [&[u8]; 3], columns: Range<usize>, is_maximum: &mut [bool]) = find_maxima
+    /// Replaces `maxima` by those of `columns`, in order, whose score in the middle one of three `rows` is positive and
+    /// beats those of its eight neighbours; of equal ones the first wins, row by row.
+    pub fn local_maxima(rows: [&[u8]; 3], columns: Range<usize>, maxima: &mut Vec<usize>) = find_maxima
 }
 
 #[inline(always)]
-fn find_maxima(rows: [&[u8]; 3], columns: Range<usize>, is_maximum: &mut [bool]) {
-    is_maximum.fill(false);
-    for_lanes(columns, Maxima { rows, is_maximum });
+fn find_maxima(rows: [&[u8]; 3], columns: Range<usize>, maxima: &mut Vec<usize>) {
+    maxima.clear();
+    for_lanes(columns, Maxima { rows, maxima });
 }
 
 struct Maxima<'a> {
     rows: [&'a [u8]; 3],
-    is_maximum: &'a mut [bool],
+    maxima: &'a mut Vec<usize>,
 }
 
 impl EachLane for Maxima<'_> {
@@ -190,14 +204,36 @@ impl EachLane for Maxima<'_> {
             lanes::<N>(below, x),
             lanes::<N>(below, x + 1),
         ];
-        let mut wins = [false; N];
+        let mut wins = [0; N];
         for lane in 0..N {
             let score = scores[lane];
             let before = before[0][lane].max(before[1][lane]).max(before[2][lane]).max(before[3][lane]);
             let after = after[0][lane].max(after[1][lane]).max(after[2][lane]).max(after[3][lane]);
-            wins[lane] = (score > before) & (score >= after);
+            wins[lane] = u8::from((score > before) & (score >= after));
         }
-        self.is_maximum[x..x + N].copy_from_slice(&wins);
+        self.add(&wins, x);
+    }
+}
+
+impl Maxima<'_> {
+    /// Adds the columns from `x` on that win, as few do, if they were not added before.
+    #[inline(always)]
+    fn add<const N: usize>(&mut self, wins: &[u8; N], x: usize) {
+        let next = self.maxima.last().map_or(0, |last| last + 1);
+        let (words, single) = wins.as_chunks::<8>();
+        for (first, word) in (x..).step_by(8).zip(words) {
+            let mut wins = u64::from_le_bytes(*word);
+            while wins != 0 {
+                let column = first + wins.trailing_zeros() as usize / 8;
+                if column >= next {
+                    self.maxima.push(column);
+                }
+                wins &= wins - 1;
+            }
+        }
+        if single == [1] {
+            self.maxima.push(x);
+        }
     }
 }
 
@@ -243,12 +279,17 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
         #[test]
-        fn the_score_is_the_largest_threshold_that_still_passes(image in images(), threshold in 1..60_u8) {
+        fn the_score_is_the_largest_threshold_that_still_passes(
+            image in images(), threshold in 1..60_u8, start in 0..60_usize, count in 0..80_usize,
+        ) {
+            let start = start.min(image.width());
+            let columns = start..(start + count).min(image.width());
             for y in 0..image.height() {
                 let (mut scores, mut plain) = (vec![9; image.width()], vec![9; image.width()]);
-                corner_scores(&image, y, threshold, &mut scores);
-                score_row(&image, y, threshold, &mut plain);
-                let expected: Vec<u8> = (0..image.width()).map(|x| score(&image, x, y, threshold)).collect();
+                corner_scores(&image, y, threshold, columns.clone(), &mut scores);
+                score_row(&image, y, threshold, columns.clone(), &mut plain);
+                let expected = |x| if columns.contains(&x) { score(&image, x, y, threshold) } else { 9 };
+                let expected: Vec<u8> = (0..image.width()).map(expected).collect();
                 prop_assert_eq!(&scores, &expected);
                 prop_assert_eq!(&plain, &expected);
             }
@@ -259,16 +300,16 @@ mod tests {
             scores in proptest::collection::vec(0..4_u8, 3 * 90), start in 1..50_usize, count in 0..39_usize,
         ) {
             let rows: Vec<&[u8]> = scores.chunks(90).collect();
-            let is_maximum = |x: usize| {
+            let is_maximum = |x: &usize| {
                 let others = (0..9).filter(|&index| index != 4);
                 let (before, after): (Vec<usize>, Vec<usize>) = others.partition(|&index| index < 4);
                 let at = |index: &usize| rows[index / 3][x + index % 3 - 1];
-                let score = rows[1][x];
+                let score = rows[1][*x];
                 score > 0 && before.iter().all(|i| at(i) < score) && after.iter().all(|i| at(i) <= score)
             };
             let columns = start..start + count;
-            let expected: Vec<bool> = (0..90).map(|x| columns.contains(&x) && is_maximum(x)).collect();
-            let (mut found, mut plain) = (vec![true; 90], vec![true; 90]);
+            let expected: Vec<usize> = columns.clone().filter(is_maximum).collect();
+            let (mut found, mut plain) = (vec![7], vec![8]);
             local_maxima([rows[0], rows[1], rows[2]], columns.clone(), &mut found);
             find_maxima([rows[0], rows[1], rows[2]], columns, &mut plain);
             prop_assert_eq!(&found, &expected);
