@@ -6,8 +6,10 @@ FUZZ_SECONDS ?= 600
 FUZZ_TARGETS ?=
 # Cameras need libclang to build, so plain cargo leaves them out and every target here puts them in.
 FEATURES ?= v4l
+# What is run for ARM: all that computes with integers or in inner loops.
+ARM_TESTS ?= kernel:: feature:: retrieval:: verification:: vocabulary:: raster:: geometry::
 
-.PHONY: help demo test test-train test-data test-large test-crash soak benchmarks lint bench fuzz deps system-deps test-deps fuzz-deps
+.PHONY: help demo test test-train test-data test-arm test-large test-crash soak benchmarks lint bench fuzz deps system-deps test-deps arm-deps fuzz-deps
 
 help: ## What can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -25,6 +27,11 @@ test-train: deps ## Tests of training, which other builds leave out; building it
 
 test-data: deps ## Tests on real sequences, found by LOCI_DATA
 	$(CARGO) test --release --features $(FEATURES) --test behaviour -- --ignored --nocapture real_
+
+test-arm: arm-deps ## The inner loops for 64-bit ARM, with NEON, under an emulator; building them takes minutes
+	CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
+	CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER="qemu-aarch64-static -L /usr/aarch64-linux-gnu" \
+	$(CARGO) test --no-default-features --target aarch64-unknown-linux-gnu --lib -- $(ARM_TESTS)
 
 test-large: ## A training from a hundred million descriptors, its memory measured: minutes, and 3.3 GB of disk
 	$(CARGO) test --release --no-default-features --test large_training -- --ignored --nocapture
@@ -58,6 +65,10 @@ test-deps: ## Debian or Ubuntu packages that the tests need: ffmpeg makes and re
 
 system-deps: ## Debian or Ubuntu packages that are missing
 	@deploy/install-packages.sh libclang-dev python3 python3-pip
+
+arm-deps: ## Rust's library for 64-bit ARM, a linker, and the emulator
+	@deploy/install-packages.sh gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user-static
+	@rustup target add aarch64-unknown-linux-gnu
 
 fuzz-deps: ## cargo-fuzz and the C++ compiler that libFuzzer needs
 	@deploy/install-packages.sh g++

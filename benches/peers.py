@@ -1,4 +1,4 @@
-"""Compares Loci's features with OpenCV's: time and quality, on the same frames, in one run, one thread each.
+"""Compares Loci with OpenCV, stage by stage: time and quality, on the same frames, in one run, one thread each.
 
     pip install opencv-python-headless
     python3 benches/peers.py [IMAGES...]
@@ -6,7 +6,7 @@
 Frames are 240 of a synthetic street, or the given images, brought to 640×480. Either looks at all of them once, and then
 five times, of which the median counts; that three times in turn. OpenCV's time includes the keypoints that Python gets.
 Quality: every frame is warped in a known way; features of both are matched (nearest both ways), and a match is true if it
-lies within 3 px of where the warp puts it.
+lies within 3 px of where the warp puts it. Correspondences to be verified are made up: 200, of which 60 or none are true.
 """
 
 import subprocess
@@ -23,6 +23,7 @@ PASSES = 5
 ROUNDS = 3
 QUALITY_FRAMES = 24
 TRUE_WITHIN_PX = 3.0
+PAIRS_OF_IMAGES = 500
 
 
 def loci(*arguments):
@@ -33,13 +34,14 @@ def loci(*arguments):
 
 
 def frames_of(paths, folder):
-    file = folder / "frames"
+    """Frames as BGR images."""
     if paths:
-        images = [cv2.imread(path, cv2.IMREAD_GRAYSCALE) for path in paths]
-        file.write_bytes(b"".join(cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).tobytes() for image in images))
-    else:
-        loci("frames", file, 240)
-    return file, np.frombuffer(file.read_bytes(), np.uint8).reshape(-1, HEIGHT, WIDTH)
+        images = [cv2.imread(path) for path in paths]
+        return [cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA) for image in images]
+    file = folder / "frames"
+    loci("frames", file, 240)
+    frames = np.frombuffer(file.read_bytes(), np.uint8).reshape(-1, HEIGHT, WIDTH, 3)
+    return [cv2.cvtColor(frame, cv2.COLOR_RGB2BGR) for frame in frames]
 
 
 def median_ms(work, frames):
@@ -52,15 +54,71 @@ def median_ms(work, frames):
     return np.median(passes[1:])
 
 
-def compare_times(file, frames):
+def rounds(peer, ours):
+    """Medians of both, measured in turn."""
+    return np.median([(peer(), ours()) for _ in range(ROUNDS)], axis=0)
+
+
+def compare_stages(frames, folder):
+    print(f"\n| Stage, {len(frames)} frames | OpenCV, ms | Loci, ms | Loci is faster by |\n|---|---:|---:|---:|")
+    jpegs = [cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 90])[1] for frame in frames]
+    file = folder / "jpegs"
+    file.write_bytes(b"".join(len(jpeg).to_bytes(4, "little") + jpeg.tobytes() for jpeg in jpegs))
+
+    def made_input(frame):
+        small = cv2.resize(frame, (224, 224), interpolation=cv2.INTER_AREA)
+        return cv2.dnn.blobFromImage(small, 1 / 128, mean=(127, 127, 127), swapRB=True)
+
+    peers = [
+        ("JPEG to colour", lambda jpeg: cv2.imdecode(jpeg, cv2.IMREAD_COLOR), jpegs),
+        ("colour to grey", lambda frame: cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), frames),
+        ("input of the CNN, 224×224", made_input, frames),
+    ]
+    peer, ours = rounds(
+        lambda: [median_ms(work, items) for _, work, items in peers],
+        lambda: [float(ms) for ms in loci("stages", file).split()],
+    )
+    for (stage, _, _), peer, ours in zip(peers, peer, ours):
+        print(f"| {stage} | {peer:.2f} | {ours:.2f} | {peer / ours:.1f} × |")
+
+
+def compare_verification(folder):
+    print("\n| 200 correspondences | | OpenCV, µs | inliers | Loci, µs | inliers | Loci is faster by |")
+    print("|---|---|---:|---:|---:|---:|---:|")
+    estimators = [
+        ("affine, RANSAC", lambda a, b: cv2.estimateAffinePartial2D(a, b, ransacReprojThreshold=3)),
+        ("homography, MAGSAC", lambda a, b: cv2.findHomography(a, b, cv2.USAC_MAGSAC, 3)),
+    ]
+    file = folder / "pairs"
+    for true in (60, 0):
+        loci("pairs", file, true, PAIRS_OF_IMAGES)
+        points = np.frombuffer(file.read_bytes(), np.float32).reshape(PAIRS_OF_IMAGES, -1, 4)
+        for name, estimate in estimators:
+
+            def by_opencv():
+                times, inliers = [], []
+                for pair in points:
+                    a, b = np.ascontiguousarray(pair[:, :2]), np.ascontiguousarray(pair[:, 2:])
+                    started = time.perf_counter()
+                    _, mask = estimate(a, b)
+                    times.append((time.perf_counter() - started) * 1e6)
+                    inliers.append(0 if mask is None else int(mask.sum()))
+                return np.median(times), min(inliers), max(inliers)
+
+            by_loci = lambda: [float(word) for word in loci("verify", true, PAIRS_OF_IMAGES).split()]
+            peer, ours = rounds(by_opencv, by_loci)
+            told = [f"{us:.1f} | {least:.0f} to {most:.0f}" for us, least, most in (peer, ours)]
+            print(f"| {true} true | {name} | {told[0]} | {told[1]} | {peer[0] / ours[0]:.1f} × |")
+
+
+def compare_orb(file, frames):
     print(f"| ORB of {len(frames)} frames | OpenCV, ms | Loci, ms | Loci is faster by |\n|---|---:|---:|---:|")
     for features in (500, 1000, 2000):
         orb = cv2.ORB_create(features)
-        rounds = []
-        for _ in range(ROUNDS):
-            peer = median_ms(lambda frame: orb.detectAndCompute(frame, None), frames)
-            rounds.append((peer, float(loci("orb", file, features))))
-        peer, ours = np.median(rounds, axis=0)
+        peer, ours = rounds(
+            lambda: median_ms(lambda frame: orb.detectAndCompute(frame, None), frames),
+            lambda: float(loci("orb", file, features)),
+        )
         print(f"| {features:,} features | {peer:.2f} | {ours:.2f} | {peer / ours:.1f} × |")
 
 
@@ -138,9 +196,14 @@ def main():
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
-        file, frames = frames_of(sys.argv[1:], folder)
-        compare_times(file, frames)
+        colour = frames_of(sys.argv[1:], folder)
+        frames = np.stack([cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) for frame in colour])
+        file = folder / "grey"
+        file.write_bytes(frames.tobytes())
+        compare_orb(file, frames)
         compare_quality(frames, folder)
+        compare_stages(colour, folder)
+        compare_verification(folder)
 
 
 if __name__ == "__main__":

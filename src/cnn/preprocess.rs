@@ -20,8 +20,8 @@ pub struct Preprocessor {
     input: InputCard,
     columns: Taps,
     rows: Taps,
-    /// One row of output height and source width, R G B interleaved, and a value more.
-    row: Vec<f32>,
+    /// [`ROWS`] rows of the output, still as wide as the source.
+    rows_between: Vec<Pixel>,
     /// `[3, height, width]`.
     tensor: Vec<f32>,
 }
@@ -34,7 +34,7 @@ impl Preprocessor {
             input: input.clone(),
             columns: Taps::default(),
             rows: Taps::default(),
-            row: Vec::new(),
+            rows_between: Vec::new(),
             tensor: vec![0.0; 3 * input.width_px * input.height_px],
         }
     }
@@ -51,74 +51,132 @@ impl Preprocessor {
         }
         self.columns.prepare(width_px, self.input.width_px);
         self.rows.prepare(height_px, self.input.height_px);
-        self.row.resize(3 * width_px + 1, 0.0);
-        let InputCard { width_px, height_px, .. } = self.input;
-        let (red, rest) = self.tensor.split_at_mut(width_px * height_px);
-        let (green, blue) = rest.split_at_mut(width_px * height_px);
-        let planes = red.chunks_mut(width_px).zip(green.chunks_mut(width_px).zip(blue.chunks_mut(width_px)));
-        for (y, (red, (green, blue))) in planes.enumerate() {
-            blend_rows(image, self.rows.of(y), &mut self.row);
-            blend_columns(&self.row, &self.columns, &self.input, [red, green, blue]);
+        self.rows_between.resize(width_px, [[0.0; ROWS]; 3]);
+        for y in (0..self.input.height_px).step_by(ROWS) {
+            blend_rows(image, &self.rows, y, self.rows_between.as_flattened_mut());
+            blend_columns(&self.rows_between, &self.columns, &self.input, y, &mut self.tensor);
         }
         Ok(&self.tensor)
     }
 }
 
-for_every_processor! {
-    /// Vertical pass: a row of the output, still as wide as the source.
-    fn blend_rows(image: &RgbImage, rows: (usize, &[f32]), row: &mut [f32]) = blend_row
-}
-
-for_every_processor! {
-    /// Horizontal pass over that row, into a row of each of the three planes.
-    fn blend_columns(row: &[f32], columns: &Taps, input: &InputCard, planes: [&mut [f32]; 3]) = blend_pixels
-}
-
-/// Values that are summed up at a time.
+/// Rows of the output that are made together, side by side.
+const ROWS: usize = 8;
+/// Values of a row that are summed up at a time.
 const LANES: usize = 32;
 
+/// R, G and B of a column in [`ROWS`] rows.
+type Pixel = [[f32; ROWS]; 3];
+
+for_every_processor! {
+    /// Vertical pass: rows of the output from row `y` on, as wide as the source.
+    fn blend_rows(image: &RgbImage, rows: &Taps, y: usize, between: &mut [[f32; ROWS]]) = blend_all_rows
+}
+
+for_every_processor! {
+    /// Horizontal pass over those rows, into the three planes of `tensor`.
+    fn blend_columns(
+        between: &[Pixel],
+        columns: &Taps,
+        input: &InputCard,
+        y: usize,
+        tensor: &mut [f32],
+    ) = blend_all_columns
+}
+
 #[inline(always)]
-fn blend_row(image: &RgbImage, (first, weights): (usize, &[f32]), row: &mut [f32]) {
+fn blend_all_rows(image: &RgbImage, rows: &Taps, y: usize, between: &mut [[f32; ROWS]]) {
+    let count = ROWS.min(rows.output_px - y);
     let length = 3 * image.width();
     let mut x = 0;
     while x + LANES <= length {
-        let mut sums = [0.0; LANES];
-        for (tap, &weight) in weights.iter().enumerate() {
-            let values = &image.row(first + tap)[x..x + LANES];
-            for lane in 0..LANES {
-                sums[lane] += weight * f32::from(values[lane]);
+        let mut sums = [[0.0; LANES]; ROWS];
+        for row in 0..count {
+            sums[row] = blend_row::<LANES>(image, rows.of(y + row), x);
+        }
+        for (tile, between) in between[x..x + LANES].as_chunks_mut::<ROWS>().0.iter_mut().enumerate() {
+            for i in 0..ROWS {
+                for row in 0..ROWS {
+                    between[i][row] = sums[row][tile * ROWS + i];
+                }
             }
         }
-        row[x..x + LANES].copy_from_slice(&sums);
         x += LANES;
     }
-    for (x, sum) in (x..length).zip(&mut row[x..]) {
-        *sum = 0.0;
-        for (tap, &weight) in weights.iter().enumerate() {
-            *sum += weight * f32::from(image.row(first + tap)[x]);
+    for x in x..length {
+        for row in 0..count {
+            between[x][row] = blend_row::<1>(image, rows.of(y + row), x)[0];
         }
     }
 }
 
-/// `row` has a value more than its pixels, so that the last one, too, can be read as four, which are summed up as fast
-/// as three.
+/// `N` values of a row from `x` on.
 #[inline(always)]
-fn blend_pixels(row: &[f32], columns: &Taps, input: &InputCard, [red, green, blue]: [&mut [f32]; 3]) {
-    for (x, ((red, green), blue)) in red.iter_mut().zip(green).zip(blue).enumerate() {
-        let (first, weights) = columns.of(x);
-        let mut sums = [0.0_f32; 4];
-        let mut rest = &row[3 * first..];
-        for &weight in weights {
-            let Some(pixel) = rest.first_chunk::<4>() else { break };
-            for channel in 0..4 {
-                sums[channel] += weight * pixel[channel];
-            }
-            rest = &rest[3..];
+fn blend_row<const N: usize>(image: &RgbImage, (first, weights): (usize, &[f32]), x: usize) -> [f32; N] {
+    let mut sums = [0.0; N];
+    for (tap, &weight) in weights.iter().enumerate() {
+        let values = &image.row(first + tap)[x..x + N];
+        for lane in 0..N {
+            sums[lane] += weight * f32::from(values[lane]);
         }
-        *red = (sums[0] - input.mean) * input.scale;
-        *green = (sums[1] - input.mean) * input.scale;
-        *blue = (sums[2] - input.mean) * input.scale;
     }
+    sums
+}
+
+#[inline(always)]
+fn blend_all_columns(between: &[Pixel], columns: &Taps, input: &InputCard, y: usize, tensor: &mut [f32]) {
+    let &InputCard { width_px, height_px, mean, scale, .. } = input;
+    let rows = y * width_px..(y + ROWS.min(height_px - y)) * width_px;
+    let (red, rest) = tensor.split_at_mut(width_px * height_px);
+    let (green, blue) = rest.split_at_mut(width_px * height_px);
+    let planes = [&mut red[rows.clone()], &mut green[rows.clone()], &mut blue[rows]];
+    for x in (0..width_px).step_by(ROWS) {
+        let wide = ROWS.min(width_px - x);
+        let mut tiles = [[[0.0; ROWS]; ROWS]; 3];
+        for column in 0..wide {
+            let sums = blend_column(between, columns.of(x + column));
+            for channel in 0..3 {
+                for row in 0..ROWS {
+                    tiles[channel][column][row] = (sums[channel][row] - mean) * scale;
+                }
+            }
+        }
+        for channel in 0..3 {
+            let tile = transposed(&tiles[channel]);
+            for (pixels, values) in planes[channel].chunks_exact_mut(width_px).zip(&tile) {
+                match pixels[x..].first_chunk_mut::<ROWS>() {
+                    Some(pixels) => *pixels = *values,
+                    None => pixels[x..].copy_from_slice(&values[..wide]),
+                }
+            }
+        }
+    }
+}
+
+/// A column of the output.
+#[inline(always)]
+fn blend_column(between: &[Pixel], (first, weights): (usize, &[f32])) -> Pixel {
+    let mut sums = [[0.0; ROWS]; 3];
+    for (pixel, &weight) in between[first..].iter().zip(weights) {
+        for channel in 0..3 {
+            for row in 0..ROWS {
+                sums[channel][row] += weight * pixel[channel][row];
+            }
+        }
+    }
+    sums
+}
+
+/// The columns of `tile` as rows.
+#[inline(always)]
+fn transposed(tile: &[[f32; ROWS]; ROWS]) -> [[f32; ROWS]; ROWS] {
+    let mut transposed = [[0.0; ROWS]; ROWS];
+    for i in 0..ROWS {
+        for j in 0..ROWS {
+            transposed[i][j] = tile[j][i];
+        }
+    }
+    transposed
 }
 
 /// For each output position of one axis: the first source position and the weights from there on.
@@ -221,20 +279,20 @@ mod tests {
 
     #[test]
     fn rows_are_blended_the_same_to_the_bit_whatever_the_processor_offers() {
-        let image = image(45, 7, 3);
-        let weights = [0.1, 0.35, 0.3, 0.25];
-        let (mut newest, mut plain) = (vec![1.0; 136], vec![2.0; 136]);
-        blend_rows(&image, (2, &weights), &mut newest);
-        blend_row(&image, (2, &weights), &mut plain);
-        assert_eq!(newest[..135], plain[..135]);
-        let (mut columns, input) = (Taps::default(), input(19, 1));
+        let (image, input) = (image(45, 27, 3), input(19, 11));
+        let (mut rows, mut columns) = (Taps::default(), Taps::default());
+        rows.prepare(27, 11);
         columns.prepare(45, 19);
-        let planes = |blend: fn(&[f32], &Taps, &InputCard, [&mut [f32]; 3])| {
-            let [mut red, mut green, mut blue] = [const { [0.0; 19] }; 3];
-            blend(&newest, &columns, &input, [&mut red, &mut green, &mut blue]);
-            [red, green, blue]
-        };
-        assert_eq!(planes(blend_columns), planes(blend_pixels));
+        for y in [0, 8] {
+            let (mut newest, mut plain) = (vec![[0.0; ROWS]; 135], vec![[0.0; ROWS]; 135]);
+            blend_rows(&image, &rows, y, &mut newest);
+            blend_all_rows(&image, &rows, y, &mut plain);
+            assert_eq!(newest, plain);
+            let (mut newest, mut tensor) = (vec![1.0; 3 * 19 * 11], vec![1.0; 3 * 19 * 11]);
+            blend_columns(plain.as_chunks().0, &columns, &input, y, &mut newest);
+            blend_all_columns(plain.as_chunks().0, &columns, &input, y, &mut tensor);
+            assert_eq!(newest, tensor);
+        }
     }
 
     #[test]

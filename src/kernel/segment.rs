@@ -35,7 +35,13 @@ const RADIUS: usize = 3;
 for_every_processor! {
     /// Writes into `scores` the corner score of each of `columns` in row `y` of `image`: the largest threshold at which
     /// it passes the FAST-9 test, or 0 where that is below `threshold` or closer than 3 px to the border.
-    pub fn corner_scores(image: &GreyImage, y: usize, threshold: u8, columns: Range<usize>, scores: &mut [u8]) = score_row
+    pub fn corner_scores(
+        image: &GreyImage,
+        y: usize,
+        threshold: u8,
+        columns: Range<usize>,
+        scores: &mut [u8],
+    ) = score_row
 }
 
 #[inline(always)]

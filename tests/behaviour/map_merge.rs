@@ -78,10 +78,10 @@ fn two_drives_through_one_street_become_one_map_and_stay_as_they_are() {
 
 #[test]
 fn two_drives_through_one_world_are_joined_whichever_comes_first() {
-    // Of corridors, whose doors look alike, half of the places may stay double.
-    for (world, seeds, share) in [("street", 23..24, 0.75), ("corridor", 23..26, 0.5)] {
+    // A third of the places may stay double.
+    for world in ["street", "corridor"] {
         let (mut joined, mut places) = ([0; 2], 0);
-        for seed in seeds {
+        for seed in 23..26 {
             let folder = tempfile::tempdir().unwrap();
             let [a, b] = ["a", "b"].map(|name| folder.path().join(name).display().to_string());
             let world = format!("{world}?laps=1&light=noon&frames=40&seed={seed}");
@@ -93,7 +93,7 @@ fn two_drives_through_one_world_are_joined_whichever_comes_first() {
                 *sum += joins;
             }
         }
-        let wanted = share * places as f64;
+        let wanted = places as f64 * 2.0 / 3.0;
         assert!(joined.iter().all(|&joins| joins as f64 >= wanted), "{world}: {joined:?} of {places}");
     }
 }
