@@ -12,7 +12,7 @@ use super::upkeep::Upkeep;
 use super::{Durability, ExperienceId, MapError, MapOptions, PassedOver, Place, PlaceId, Traits};
 use crate::feature::Features;
 use crate::frame::Frame;
-use crate::storage::{Envelope, Folder, RecordLog, Recovery, StorageError, WriterLock};
+use crate::storage::{Envelope, FileBytes, Folder, RecordLog, Recovery, StorageError, WriterLock};
 
 /// An experience to be added to a place.
 #[derive(Clone, Copy)]
@@ -53,6 +53,8 @@ pub struct PlaceMap {
     /// The place of the experience before.
     pub(super) latest_place: Option<PlaceId>,
     pub(super) is_writable: bool,
+    /// The index that lay in the folder, whatever map it is of.
+    pub(super) index: Option<FileBytes>,
     /// Kept for as long as the map may be written.
     pub(super) _lock: Option<WriterLock>,
 }

@@ -9,7 +9,7 @@ use super::journal_opening::Opened;
 use super::map::PlaceMap;
 use super::snapshot::{self, Snapshot};
 use super::upkeep::Upkeep;
-use super::{MapError, MapOptions, version_1};
+use super::{MapError, MapOptions, kept_index, version_1};
 use crate::storage::{
     BESIDE_SUFFIX, DiskFolder, Folder, MemoryFolder, StorageError, WriterLock, create_folders, log_kind,
 };
@@ -135,6 +135,7 @@ impl PlaceMap {
         Ok(Self {
             contents,
             journal,
+            index: kept_index::found(folder.as_ref(), is_writable),
             folder,
             options: options.unwrap_or_default(),
             upkeep: Upkeep::new(length_bytes),

@@ -20,6 +20,7 @@ mod format;
 mod inspection;
 mod journal;
 mod journal_opening;
+mod kept_index;
 mod map;
 mod map_opening;
 mod options;
@@ -44,6 +45,7 @@ mod version_1;
 mod witness;
 
 pub use error::{MapError, Unreadable};
+pub use kept_index::KeptIndex;
 pub use map::{Learnt, NewExperience, PlaceMap};
 pub use options::{Durability, MapOptions};
 pub use reading::MapSummary;

@@ -101,7 +101,8 @@ pub(super) fn read(folder: &dyn Folder) -> Result<Option<Snapshot>, StorageError
     }
 }
 
-fn packed(position: Position, contents: &Contents) -> Result<Vec<u8>, String> {
+/// The same for the same contents at the same position.
+pub(super) fn packed(position: Position, contents: &Contents) -> Result<Vec<u8>, String> {
     let mut body = format::encode(&Summary {
         segment: position.segment,
         offset: position.offset,

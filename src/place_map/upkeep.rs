@@ -70,6 +70,11 @@ impl PlaceMap {
         self.journal.total_bytes() + 2 * self.upkeep.snapshot_bytes
     }
 
+    /// Whether the budget has room for a file of so many bytes more.
+    pub(super) fn has_room_for(&self, bytes: u64) -> bool {
+        self.folder_bytes().saturating_add(bytes) <= self.options.disk_bytes
+    }
+
     /// Bytes after which the journal goes on in a new segment.
     pub(super) fn segment_bytes(&self) -> u64 {
         self.options.segment_bytes(self.journal.total_bytes())

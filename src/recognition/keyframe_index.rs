@@ -26,29 +26,29 @@ const POSTING_BYTES: usize = 3;
 const KEYFRAME_BYTES: usize = 56;
 
 #[derive(Clone, Copy)]
-struct IndexedKeyframe {
-    place: PlaceId,
-    experience: ExperienceId,
-    postings: u32,
+pub(super) struct IndexedKeyframe {
+    pub(super) place: PlaceId,
+    pub(super) experience: ExperienceId,
+    pub(super) postings: u32,
 }
 
 /// Keyframes, each under the words of every condition.
 pub(super) struct KeyframeIndex {
     vocabularies: Arc<VocabularySet>,
     /// One a condition; all number their documents alike.
-    words: Vec<WordIndex>,
+    pub(super) words: Vec<WordIndex>,
     /// By document.
-    keyframes: Vec<IndexedKeyframe>,
-    documents: HashMap<ExperienceId, DocumentId>,
+    pub(super) keyframes: Vec<IndexedKeyframe>,
+    pub(super) documents: HashMap<ExperienceId, DocumentId>,
     /// Words of all keyframes together, in every condition.
-    postings: usize,
+    pub(super) postings: usize,
 }
 
 /// The keyframes under the words of one condition.
-struct WordIndex {
-    inverted: InvertedIndex,
+pub(super) struct WordIndex {
+    pub(super) inverted: InvertedIndex,
     /// The words that grew where the vocabulary covers the keyframes badly, if any may.
-    grown: Option<GrownWords>,
+    pub(super) grown: Option<GrownWords>,
 }
 
 impl WordIndex {
@@ -108,6 +108,11 @@ impl KeyframeIndex {
         &self.vocabularies
     }
 
+    /// Of the vocabularies.
+    pub(super) fn fingerprints(&self) -> impl Iterator<Item = u64> {
+        self.vocabularies.conditions().map(|condition| self.vocabularies.vocabulary(condition).fingerprint())
+    }
+
     pub(super) fn contains(&self, keyframe: ExperienceId) -> bool {
         self.documents.contains_key(&keyframe)
     }
@@ -131,10 +136,11 @@ impl KeyframeIndex {
 
     /// Whether `words` are all that [`add`](Self::add) needs: those of every vocabulary, and none may grow.
     pub(super) fn is_satisfied_by(&self, words: &[VocabularyWords]) -> bool {
-        let mut fingerprints =
-            self.vocabularies.conditions().map(|c| self.vocabularies.vocabulary(c).fingerprint());
         let may_grow = self.words.iter().any(|index| index.grown.is_some());
-        !may_grow && fingerprints.all(|fingerprint| words.iter().any(|words| words.vocabulary == fingerprint))
+        !may_grow
+            && self
+                .fingerprints()
+                .all(|fingerprint| words.iter().any(|words| words.vocabulary == fingerprint))
     }
 
     /// Makes a keyframe findable by its words.

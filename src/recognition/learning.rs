@@ -107,10 +107,17 @@ impl Recogniser {
         Some(Appearance { model: model.sha256.clone(), descriptor: descriptor.into() })
     }
 
-    /// Makes a keyframe of the map findable.
+    /// Makes a keyframe of the map findable; one whose words are indexed already, by the CNN.
     pub(super) fn index(&mut self, id: ExperienceId) -> Result<(), MapError> {
         let Some(&Experience { learnt_as, .. }) = self.map.experience(id) else { return Ok(()) };
         let Some(place) = self.map.place(learnt_as).map(|place| place.id) else { return Ok(()) };
+        if self.keyframes.contains(id) {
+            if self.has_cnn() {
+                let appearance = self.map.traits(id)?.appearance;
+                self.make_known((place, id), appearance);
+            }
+            return Ok(());
+        }
         let traits = self.map.traits(id)?;
         self.make_findable((place, id), traits, None)
     }

@@ -125,7 +125,9 @@ impl Recogniser {
     /// # Errors
     /// If the medium fails.
     pub fn close(&mut self) -> Result<(), MapError> {
-        self.map.close()
+        self.map.close()?;
+        self.keep_index();
+        Ok(())
     }
 
     /// Why the map could not be read or changed, or what it gave up since it is damaged; once. If it could not be

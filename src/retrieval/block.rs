@@ -5,6 +5,7 @@
 //! multiplied in once an image and not once a posting.
 
 use super::bow::WeighedWord;
+use super::numbers::Numbers;
 use super::query::Query;
 use crate::kernel;
 use crate::vocabulary::WordId;
@@ -29,7 +30,7 @@ pub(super) struct Block {
     pages: Vec<Page>,
     /// One for every word that is shown, in rising order, and one where the last one ends.
     lists: Vec<List>,
-    postings: Vec<u16>,
+    postings: Numbers,
 }
 
 /// An image of a block.
@@ -42,20 +43,20 @@ pub(super) struct BlockImage {
 
 /// Which of 64 words in a row are shown.
 #[derive(Clone, Copy, Debug)]
-struct Page {
+pub(super) struct Page {
     /// The first of the words, divided by 64.
-    number: u32,
+    pub(super) number: u32,
     /// Position of the list of the first of them that is shown.
-    first_list: u32,
+    pub(super) first_list: u32,
     /// A bit a word.
-    shown: u64,
+    pub(super) shown: u64,
 }
 
 /// Where the postings of a word begin.
 #[derive(Clone, Copy, Debug, Default)]
-struct List {
-    once: u32,
-    repeated: u32,
+pub(super) struct List {
+    pub(super) once: u32,
+    pub(super) repeated: u32,
 }
 
 /// Where the postings of a word are; all zero where no image shows it.
@@ -81,15 +82,90 @@ impl Postings<'_> {
     }
 }
 
-impl Block {
-    /// A block of these images, without their postings.
+/// A block while the postings of its images are added, word by word.
+pub(super) struct BlockBuilder {
+    block: Block,
+    postings: Vec<u16>,
+}
+
+impl BlockBuilder {
+    /// Begins a block of these images.
     pub(super) fn new(images: Vec<BlockImage>) -> Self {
-        Self { images, lists: vec![List::default()], ..Self::default() }
+        let block = Block { images, lists: vec![List::default()], ..Block::default() };
+        Self { block, postings: Vec::new() }
     }
 
+    /// Adds the postings of a word, a higher one than those before.
+    pub(super) fn push(&mut self, word: WordId, postings: Postings<'_>) {
+        let Block { pages, lists, .. } = &mut self.block;
+        let (number, bit) = (word.0 / PAGE_WORDS, 1 << (word.0 % PAGE_WORDS));
+        let first_list = lists.len() as u32 - 1;
+        match pages.last_mut().filter(|page| page.number == number) {
+            Some(page) => page.shown |= bit,
+            None => pages.push(Page { number, first_list, shown: bit }),
+        }
+        self.postings.extend_from_slice(postings.once);
+        lists[first_list as usize].repeated = self.postings.len() as u32;
+        self.postings.extend_from_slice(postings.repeated.as_flattened());
+        lists.push(List { once: self.postings.len() as u32, repeated: 0 });
+    }
+
+    /// The block, with no memory in reserve.
+    pub(super) fn finish(self) -> Block {
+        let Self { mut block, mut postings } = self;
+        block.pages.shrink_to_fit();
+        block.lists.shrink_to_fit();
+        postings.shrink_to_fit();
+        Block { postings: Numbers::Owned(postings), ..block }
+    }
+}
+
+impl Block {
     /// In the order of adding.
     pub(super) fn images(&self) -> &[BlockImage] {
         &self.images
+    }
+
+    /// What it is made of besides its images: pages, lists, and the bytes of the postings.
+    pub(super) fn contents(&self) -> (&[Page], &[List], &[u8]) {
+        (&self.pages, &self.lists, bytemuck::cast_slice(&self.postings))
+    }
+
+    /// The block of these images that had such [contents](Self::contents); `None` if none has.
+    pub(super) fn restored(
+        images: Vec<BlockImage>,
+        pages: Vec<Page>,
+        lists: Vec<List>,
+        postings: Numbers,
+    ) -> Option<Self> {
+        let block = Self { images, pages, lists, postings };
+        block.is_sound().then_some(block)
+    }
+
+    /// Whether no question can lead beyond what is there.
+    fn is_sound(&self) -> bool {
+        let Some((last, lists)) = self.lists.split_last() else { return false };
+        let mut next_list = 0;
+        let are_pages_sound = self.pages.iter().enumerate().all(|(index, page)| {
+            let is_in_turn = self.pages[..index].last().is_none_or(|before| before.number < page.number);
+            let is_first = page.first_list as usize == next_list;
+            next_list += page.shown.count_ones() as usize;
+            is_in_turn && is_first && page.number <= u32::MAX / PAGE_WORDS
+        });
+        let is_there = |image: &u16| usize::from(*image) < self.images.len();
+        let is_list_sound = |(list, next): (&List, &List)| {
+            let once = self.postings.get(list.once as usize..list.repeated as usize);
+            let repeated = self.postings.get(list.repeated as usize..next.once as usize);
+            let (Some(once), Some((pairs, []))) = (once, repeated.map(<[u16]>::as_chunks::<2>)) else {
+                return false;
+            };
+            once.iter().all(is_there) && pairs.iter().all(|[image, _]| is_there(image))
+        };
+        (1..=MOST_IMAGES).contains(&self.images.len())
+            && are_pages_sound
+            && next_list == lists.len()
+            && last.once as usize == self.postings.len()
+            && lists.iter().zip(&self.lists[1..]).all(is_list_sound)
     }
 
     /// Length of all lists together, in numbers of 16 bits.
@@ -97,33 +173,12 @@ impl Block {
         self.postings.len()
     }
 
-    /// Bytes of memory that it takes.
+    /// Bytes of memory that it takes, those that are mapped among them.
     pub(super) fn memory_bytes(&self) -> usize {
         size_of_val(self.images.as_slice())
             + size_of_val(self.pages.as_slice())
             + size_of_val(self.lists.as_slice())
-            + size_of_val(self.postings.as_slice())
-    }
-
-    /// Adds the postings of a word, a higher one than those before.
-    pub(super) fn push(&mut self, word: WordId, postings: Postings<'_>) {
-        let (number, bit) = (word.0 / PAGE_WORDS, 1 << (word.0 % PAGE_WORDS));
-        let first_list = self.lists.len() as u32 - 1;
-        match self.pages.last_mut().filter(|page| page.number == number) {
-            Some(page) => page.shown |= bit,
-            None => self.pages.push(Page { number, first_list, shown: bit }),
-        }
-        self.postings.extend_from_slice(postings.once);
-        self.lists[first_list as usize].repeated = self.postings.len() as u32;
-        self.postings.extend_from_slice(postings.repeated.as_flattened());
-        self.lists.push(List { once: self.postings.len() as u32, repeated: 0 });
-    }
-
-    /// Gives back what memory lists have in reserve.
-    pub(super) fn shrink(&mut self) {
-        self.pages.shrink_to_fit();
-        self.lists.shrink_to_fit();
-        self.postings.shrink_to_fit();
+            + size_of_val(&*self.postings)
     }
 
     /// The words that some image shows, in rising order.

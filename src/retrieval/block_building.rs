@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::block::{Block, BlockImage, Postings};
+use super::block::{Block, BlockBuilder, BlockImage, Postings};
 use crate::vocabulary::WordId;
 
 /// That an image of a block shows a word.
@@ -65,7 +65,7 @@ impl Draft {
     }
 
     /// Adds what there is to `block` as the postings of `word`, and begins anew.
-    fn finish(&mut self, word: WordId, block: &mut Block) {
+    fn finish(&mut self, word: WordId, block: &mut BlockBuilder) {
         if !self.once.is_empty() || !self.repeated.is_empty() {
             block.push(word, Postings { once: &self.once, repeated: &self.repeated });
         }
@@ -84,21 +84,20 @@ enum Moved {
 
 /// A block of new images with these postings, sorted by word and image.
 pub(super) fn of_images(images: Vec<BlockImage>, postings: &[NewPosting]) -> Block {
-    let mut block = Block::new(images);
+    let mut block = BlockBuilder::new(images);
     let mut draft = Draft::default();
     for run in postings.chunk_by(|one, next| one.word == next.word) {
         run.iter().for_each(|posting| draft.add(posting.image, posting.repetitions));
         draft.finish(run[0].word, &mut block);
     }
-    block.shrink();
-    block
+    block.finish()
 }
 
 /// One block of the images of `blocks` that are `wanted`, in their order, with some words renamed.
 pub(super) fn merged(blocks: &[Block], wanted: impl Fn(u32) -> bool, renames: &Renames) -> Block {
     let mut images = Vec::new();
     let moves: Vec<Moved> = blocks.iter().map(|block| moved(block, &wanted, &mut images)).collect();
-    let mut merged = Block::new(images);
+    let mut merged = BlockBuilder::new(images);
     let mut draft = Draft::default();
     let mut finders: Vec<_> = blocks.iter().map(Block::finder).collect();
     for word in words(blocks, renames) {
@@ -115,8 +114,7 @@ pub(super) fn merged(blocks: &[Block], wanted: impl Fn(u32) -> bool, renames: &R
         }
         draft.finish(word, &mut merged);
     }
-    merged.shrink();
-    merged
+    merged.finish()
 }
 
 /// Adds the wanted images of `block` to `images`; answers where they are now.

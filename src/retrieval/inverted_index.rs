@@ -1,5 +1,6 @@
 //! The inverted index: for every word the images that show it.
 
+use std::cmp::Reverse;
 use std::ops::Range;
 
 use heapless::Vec as FixedVec;
@@ -57,7 +58,7 @@ pub struct InvertedIndex {
     is_removed: Vec<bool>,
     /// Documents that were removed and still have postings.
     unswept: Vec<u32>,
-    /// Numbers of swept documents, to be given again.
+    /// Numbers of swept documents, to be given again, the lowest last.
     free: Vec<u32>,
     query: Query,
     /// Of the images of a block; all zero between queries.
@@ -141,6 +142,30 @@ impl InvertedIndex {
             rest = left;
         }
         self.free.append(&mut self.unswept);
+        self.free.sort_unstable_by_key(|&document| Reverse(document));
+    }
+
+    /// How many numbers documents have, and all blocks, once nothing is pending or removed.
+    pub(super) fn settled(&self) -> (u32, &[Block]) {
+        (self.is_removed.len() as u32, &self.blocks)
+    }
+
+    /// An index of documents of so many numbers that lie in these blocks; `None` if one lies in two of them.
+    pub(super) fn of_blocks(documents: u32, blocks: Vec<Block>) -> Option<Self> {
+        let mut is_removed = vec![true; documents as usize];
+        for image in blocks.iter().flat_map(Block::images) {
+            if !std::mem::take(is_removed.get_mut(image.document as usize)?) {
+                return None;
+            }
+        }
+        let free = (0..documents).rev().filter(|&document| is_removed[document as usize]).collect();
+        Some(Self { blocks, is_removed, free, ..Self::default() })
+    }
+
+    /// Whether an image of this number is indexed.
+    #[must_use]
+    pub fn contains(&self, document: DocumentId) -> bool {
+        self.is_removed.get(document.0 as usize) == Some(&false)
     }
 
     /// Whether some image shows `word`.

@@ -8,7 +8,10 @@ mod block;
 mod block_building;
 mod bow;
 mod inverted_index;
+mod numbers;
 mod query;
+mod snapshot;
 
 pub use bow::BowVector;
 pub use inverted_index::{DocumentId, InvertedIndex, MAX_RETRIEVED, Retrieved};
+pub use snapshot::SnapshotReader;

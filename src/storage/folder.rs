@@ -9,6 +9,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use super::FileBytes;
 use super::append_file::{AppendFile, DiskFile, MemoryFile};
 
 /// A folder. Names are plain file names.
@@ -27,6 +28,17 @@ pub trait Folder: Send + Sync {
     /// # Errors
     /// What the medium says.
     fn open(&self, name: &str, writable: bool) -> io::Result<Arc<dyn AppendFile>>;
+
+    /// The bytes of a file that nobody appends to: mapped, if it is on a disk.
+    ///
+    /// # Errors
+    /// What the medium says.
+    fn map(&self, name: &str) -> io::Result<FileBytes> {
+        let file = self.open(name, false)?;
+        let mut bytes = vec![0; file.length_bytes()? as usize];
+        file.read_at(0, &mut bytes)?;
+        Ok(FileBytes::Owned(bytes))
+    }
 
     /// Gives the file `from` the name `to`; a file of that name is gone.
     ///
@@ -97,6 +109,14 @@ impl Folder for DiskFolder {
 
     fn open(&self, name: &str, writable: bool) -> io::Result<Arc<dyn AppendFile>> {
         Ok(Arc::new(DiskFile::open(&self.0.join(name), writable)?))
+    }
+
+    fn map(&self, name: &str) -> io::Result<FileBytes> {
+        let path = self.0.join(name);
+        if !fs::metadata(&path)?.is_file() {
+            return Err(io::Error::other("not a regular file"));
+        }
+        FileBytes::of(&File::open(path)?)
     }
 
     fn rename(&self, from: &str, to: &str) -> io::Result<()> {
@@ -201,6 +221,8 @@ mod tests {
             assert!(!replaced.is_linked().unwrap());
             assert!(replaced.sync().unwrap_err().to_string().contains("deleted"));
             assert_eq!(content(folder, "a"), b"new");
+            assert_eq!(*folder.map("a").unwrap(), *b"new");
+            assert_eq!(folder.map("b").unwrap_err().kind(), io::ErrorKind::NotFound);
             assert_eq!(folder.names().unwrap(), ["a"]);
             let still_open = folder.open("a", false).unwrap();
             assert!(still_open.is_linked().unwrap());

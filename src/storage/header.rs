@@ -30,11 +30,20 @@ impl FileKind {
     /// The header for `body`.
     #[must_use]
     pub fn header(&self, body: &[u8]) -> [u8; HEADER_BYTES] {
+        self.header_of(&[body])
+    }
+
+    /// The header for a body of several parts.
+    #[must_use]
+    pub fn header_of(&self, parts: &[&[u8]]) -> [u8; HEADER_BYTES] {
+        let mut checksum = crc32fast::Hasher::new();
+        parts.iter().for_each(|part| checksum.update(part));
+        let length_bytes: u64 = parts.iter().map(|part| part.len() as u64).sum();
         let mut header = [0; HEADER_BYTES];
         header[..8].copy_from_slice(&self.magic);
         header[8..12].copy_from_slice(&self.version.to_le_bytes());
-        header[12..16].copy_from_slice(&crc32fast::hash(body).to_le_bytes());
-        header[16..24].copy_from_slice(&(body.len() as u64).to_le_bytes());
+        header[12..16].copy_from_slice(&checksum.finalize().to_le_bytes());
+        header[16..24].copy_from_slice(&length_bytes.to_le_bytes());
         header
     }
 
@@ -124,6 +133,7 @@ mod tests {
     fn a_body_comes_back_with_its_version() {
         let older = FileKind { version: 1, ..KIND };
         assert_eq!(KIND.body(&file(older, b"abc"), Path::new("f")).unwrap(), (1, &b"abc"[..]));
+        assert_eq!(KIND.header_of(&[b"a", b"", b"bc"]), KIND.header(b"abc"));
     }
 
     #[test]

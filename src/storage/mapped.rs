@@ -2,6 +2,7 @@
 #![expect(unsafe_code, reason = "mapping a file is unsafe; this is the one place that does it")]
 
 use std::fs::File;
+use std::io;
 use std::ops::Deref;
 use std::path::Path;
 
@@ -29,13 +30,21 @@ impl FileBytes {
             let source = std::io::Error::other("not a regular file");
             return Err(StorageError::Io { action: "open", path: path.to_owned(), source });
         }
-        if metadata.len() == 0 {
+        let file = File::open(path).map_err(StorageError::io("open", path))?;
+        Self::of(&file).map_err(StorageError::io("map", path))
+    }
+
+    /// Maps a regular file read-only.
+    ///
+    /// # Errors
+    /// What the medium says.
+    pub fn of(file: &File) -> io::Result<Self> {
+        if file.metadata()?.len() == 0 {
             return Ok(Self::Owned(Vec::new()));
         }
-        let file = File::open(path).map_err(StorageError::io("open", path))?;
-        // SAFETY: the mapping is read-only and private. The files mapped here are replaced by rename
-        // (`replace_file`), never written in place, so their pages do not change or vanish under us.
-        let map = unsafe { Mmap::map(&file) }.map_err(StorageError::io("map", path))?;
+        // SAFETY: the mapping is read-only and private. The files mapped here are replaced by rename (`replace`) or
+        // removed, never written in place, so their pages do not change or vanish under us.
+        let map = unsafe { Mmap::map(file) }?;
         Ok(Self::Mapped(map))
     }
 }
