@@ -31,12 +31,8 @@ pub struct Retrieved {
 /// Images, and their postings, that wait about at most while many are added in a row.
 const MOST_PENDING: usize = MOST_IMAGES / 16;
 const MOST_PENDING_POSTINGS: usize = 1 << 20;
-/// The newest blocks, which are left as they are: words of images that were just added are renamed soon, if at all.
-const LEFT_APART: usize = 3;
 /// Images of a small block, which takes new ones in one by one.
 const SMALL: usize = MOST_IMAGES.div_ceil(256).next_multiple_of(4);
-/// Blocks of about one size that become one.
-const MERGED_AT_ONCE: usize = 4;
 /// Most postings of a block, in numbers of 16 bits: their positions are 32 bits wide.
 const MOST_POSTINGS: usize = u32::MAX as usize;
 /// Scores that are looked at together: few documents are better than the best ones so far.
@@ -47,8 +43,9 @@ const FEWEST_SWEPT: usize = 64;
 
 /// Images, each under its words.
 ///
-/// They lie in blocks that do not change: new images make a small block, and blocks of about the same size become one
-/// (as in O'Neil et al., *The log-structured merge-tree*, 1996), so that there are few, and old postings move seldom.
+/// They lie in blocks that do not change: new images make a small block, and a block becomes one with those behind it once
+/// they are as large together (as in O'Neil et al., *The log-structured merge-tree*, 1996), so that there are few, and old
+/// postings move seldom.
 #[derive(Default)]
 pub struct InvertedIndex {
     /// In the order of adding.
@@ -268,24 +265,26 @@ fn worst(best: &FixedVec<Retrieved, MAX_RETRIEVED>) -> f32 {
     best.last().filter(|_| best.is_full()).map_or(0.0, |worst| worst.score)
 }
 
-/// The blocks that are to become one, if any: the two newest while they are small; else enough of the newest of about
-/// one size, or as many as fit into one.
+/// The blocks that are to become one, if any: the two newest while they are small; else the newest that are not, each as
+/// large at most as all behind it, as many as fit into one.
 fn next_merged(blocks: &[Block]) -> Option<Range<usize>> {
     let len = |block: &Block| block.images().len();
-    let settled = &blocks[..blocks.len().saturating_sub(LEFT_APART)];
-    if let [.., before, last] = settled
+    if let [.., before, last] = blocks
         && len(before) + len(last) <= SMALL
     {
-        return Some(settled.len() - 2..settled.len());
+        return Some(blocks.len() - 2..blocks.len());
     }
     // The last one waits until it is no longer small.
-    let end = settled.len() - usize::from(settled.last().is_some_and(|last| len(last) < SMALL));
-    let tier = |block: &Block| len(block).div_ceil(SMALL).ilog(MERGED_AT_ONCE);
-    let newest = tier(settled[..end].last()?);
-    let alike = settled[..end].iter().rev().take_while(|block| tier(block) <= newest);
-    let count = most_that_fit(alike.clone(), |_| true);
-    let is_full = count < alike.count();
-    (count >= if is_full { 2 } else { MERGED_AT_ONCE }).then(|| end - count..end)
+    let end = blocks.len() - usize::from(blocks.last().is_some_and(|last| len(last) < SMALL));
+    let mut behind = 0;
+    let is_small_enough = |block: &&Block| {
+        let is_small_enough = behind == 0 || len(block) <= behind;
+        behind += len(block);
+        is_small_enough
+    };
+    let newest = blocks[..end].iter().rev().take_while(is_small_enough);
+    let count = most_that_fit(newest, |_| true);
+    (count > 1).then(|| end - count..end)
 }
 
 /// How many of the first blocks fit into one with their images that are `wanted`, at least one.
@@ -437,8 +436,8 @@ mod tests {
             let lengths: Vec<usize> = index.blocks.iter().map(|block| block.images().len()).collect();
             assert_eq!(lengths.iter().sum::<usize>() + index.pending.images.len(), 10 * MOST_IMAGES);
             assert!(lengths.iter().all(|&length| length <= MOST_IMAGES), "{lengths:?}");
-            // The newest, a small one, three of four and of sixteen, and the full ones.
-            assert!(lengths.len() <= LEFT_APART + 1 + 6 + 14, "{lengths:?}");
+            // A small one, one of each size from four on, and the full ones, some of which are so but for a few images.
+            assert!(lengths.len() <= 1 + 5 + 14, "{lengths:?}");
         }
     }
 
