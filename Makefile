@@ -6,8 +6,8 @@ FUZZ_SECONDS ?= 600
 FUZZ_TARGETS ?=
 # Cameras need libclang to build, so plain cargo leaves them out and every target here puts them in.
 FEATURES ?= v4l
-# What is run for ARM: all that computes with integers or in inner loops.
-ARM_TESTS ?= kernel:: feature:: retrieval:: verification:: vocabulary:: raster:: geometry::
+# What is run for ARM: all that computes in inner loops or reads mapped numbers.
+ARM_TESTS ?= kernel:: feature:: retrieval:: verification:: vocabulary:: storage:: kept_index:: cnn::preprocess
 
 .PHONY: help demo test test-train test-data test-arm test-large test-crash soak benchmarks lint bench fuzz deps system-deps test-deps arm-deps fuzz-deps
 
@@ -31,7 +31,7 @@ test-data: deps ## Tests on real sequences, found by LOCI_DATA
 test-arm: arm-deps ## The inner loops for 64-bit ARM, with NEON, under an emulator; building them takes minutes
 	CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
 	CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER="qemu-aarch64-static -L /usr/aarch64-linux-gnu" \
-	$(CARGO) test --no-default-features --target aarch64-unknown-linux-gnu --lib -- $(ARM_TESTS)
+	$(CARGO) test --release --no-default-features --features cnn --target aarch64-unknown-linux-gnu --lib -- $(ARM_TESTS)
 
 test-large: ## A training from a hundred million descriptors, its memory measured: minutes, and 3.3 GB of disk
 	$(CARGO) test --release --no-default-features --test large_training -- --ignored --nocapture

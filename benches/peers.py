@@ -37,6 +37,8 @@ def frames_of(paths, folder):
     """Frames as BGR images."""
     if paths:
         images = [cv2.imread(path) for path in paths]
+        if unread := [path for path, image in zip(paths, images) if image is None]:
+            sys.exit(f"{unread[0]} is no image that can be read")
         return [cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA) for image in images]
     file = folder / "frames"
     loci("frames", file, 240)
@@ -74,12 +76,12 @@ def compare_stages(frames, folder):
         ("colour to grey", lambda frame: cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), frames),
         ("input of the CNN, 224×224", made_input, frames),
     ]
-    peer, ours = rounds(
+    theirs, ours = rounds(
         lambda: [median_ms(work, items) for _, work, items in peers],
         lambda: [float(ms) for ms in loci("stages", file).split()],
     )
-    for (stage, _, _), peer, ours in zip(peers, peer, ours):
-        print(f"| {stage} | {peer:.2f} | {ours:.2f} | {peer / ours:.1f} × |")
+    for (stage, _, _), their_ms, our_ms in zip(peers, theirs, ours):
+        print(f"| {stage} | {their_ms:.2f} | {our_ms:.2f} | {their_ms / our_ms:.1f} × |")
 
 
 def compare_verification(folder):
@@ -105,8 +107,9 @@ def compare_verification(folder):
                     inliers.append(0 if mask is None else int(mask.sum()))
                 return np.median(times), min(inliers), max(inliers)
 
-            by_loci = lambda: [float(word) for word in loci("verify", true, PAIRS_OF_IMAGES).split()]
-            peer, ours = rounds(by_opencv, by_loci)
+            peer, ours = rounds(
+                by_opencv, lambda: [float(word) for word in loci("verify", true, PAIRS_OF_IMAGES).split()]
+            )
             told = [f"{us:.1f} | {least:.0f} to {most:.0f}" for us, least, most in (peer, ours)]
             print(f"| {true} true | {name} | {told[0]} | {told[1]} | {peer[0] / ours[0]:.1f} × |")
 

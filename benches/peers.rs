@@ -93,7 +93,8 @@ fn bytes(features: &Features) -> Vec<u8> {
 fn stages(mut file: &[u8]) -> Result<(), Box<dyn Error>> {
     let mut jpegs = Vec::new();
     while let Some((length, rest)) = file.split_first_chunk() {
-        let (jpeg, rest) = rest.split_at(u32::from_le_bytes(*length) as usize);
+        let cut = rest.split_at_checked(u32::from_le_bytes(*length) as usize);
+        let (jpeg, rest) = cut.ok_or("the file ends within an image")?;
         jpegs.push(jpeg);
         file = rest;
     }

@@ -14,18 +14,19 @@ mod text;
 pub use ground_truth::{layout, loop_matrix, truth_table};
 pub use image::image;
 pub use model::{model_card, runtime_library};
-pub use stored::{map_journal, map_snapshot, training_file, vocabulary_file, vocabulary_import};
+pub use stored::{map_index, map_journal, map_snapshot, training_file, vocabulary_file, vocabulary_import};
 pub use text::{argument, suite};
 
 /// A fuzz target: gives the bytes to a reader and panics if the answer makes no sense.
 pub type Target = fn(&[u8]);
 
 /// All targets by name; each has a folder of that name in `seeds/`.
-pub const TARGETS: [(&str, Target); 13] = [
+pub const TARGETS: [(&str, Target); 14] = [
     ("argument", argument),
     ("image", image),
     ("layout", layout),
     ("loop_matrix", loop_matrix),
+    ("map_index", map_index),
     ("map_journal", map_journal),
     ("map_snapshot", map_snapshot),
     ("model_card", model_card),

@@ -10,11 +10,12 @@ use loci::feature::Descriptor;
 use loci::frame::Frame;
 use loci::place_map::{MapError, MapOptions, NewExperience, PlaceMap};
 use loci::raster::{GreyImage, RgbImage};
+use loci::retrieval::{BowVector, DocumentId, InvertedIndex, SnapshotReader};
 use loci::storage::{
-    AppendFile, Envelope, FileKind, HEADER_BYTES, LogIdentity, MemoryFile, Reading, RecordLog, StorageError,
-    Tail, checksum,
+    AppendFile, Envelope, FileBytes, FileKind, HEADER_BYTES, LogIdentity, MemoryFile, Reading, RecordLog,
+    StorageError, Tail, checksum,
 };
-use loci::vocabulary::{Corpus, CorpusImage, TrainingFile, Vocabulary, WordId, import};
+use loci::vocabulary::{Corpus, CorpusImage, TrainingFile, Vocabulary, Weighting, WordId, import};
 
 use super::accepted;
 use super::folder::{folder, write};
@@ -137,6 +138,30 @@ pub fn map_snapshot(bytes: &[u8]) {
         write(here.path(), SNAPSHOT_NAME, snapshot);
         read_map(here.path());
     }
+}
+
+/// An index of words, [`InvertedIndex::restored`].
+pub fn map_index(bytes: &[u8]) {
+    let Some(documents) = bytes.first_chunk().map(|count| u32::from_le_bytes(*count) % (1 << 16)) else {
+        return;
+    };
+    let mut reader = SnapshotReader::new(FileBytes::Owned(bytes.to_vec()), 0);
+    let Some(mut index) = InvertedIndex::restored(&mut reader, documents) else { return };
+    let words = (0..64).chain(bytes.iter().map(|&byte| 64 * u32::from(byte))).map(|word| (WordId(word), 1.0));
+    let bow = BowVector::weighted(words, Weighting::TfIdf);
+    let ask = |index: &mut InvertedIndex| {
+        let found = index.query(&bow, |_| true);
+        assert!(found.iter().all(|found| found.score > 0.0 && found.score <= 1.0));
+    };
+    ask(&mut index);
+    index.add(&bow);
+    index.remove(DocumentId(0));
+    index.rename(&[(WordId(0), WordId(1))]);
+    ask(&mut index);
+    let bytes = index.snapshot().concat();
+    let mut reader = SnapshotReader::new(FileBytes::Owned(bytes), 0);
+    let documents = reader.rows(1).and_then(|mut rows| rows.next()).map(|[documents]| documents);
+    assert!(documents.is_some(), "an index begins with the number of its documents");
 }
 
 /// Opens a map as the program does: whatever is mended and read must be there again the next time.

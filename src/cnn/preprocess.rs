@@ -91,8 +91,8 @@ fn blend_all_rows(image: &RgbImage, rows: &Taps, y: usize, between: &mut [[f32; 
     let mut x = 0;
     while x + LANES <= length {
         let mut sums = [[0.0; LANES]; ROWS];
-        for row in 0..count {
-            sums[row] = blend_row::<LANES>(image, rows.of(y + row), x);
+        for (row, sums) in sums.iter_mut().take(count).enumerate() {
+            *sums = blend_row::<LANES>(image, rows.of(y + row), x);
         }
         for (tile, between) in between[x..x + LANES].as_chunks_mut::<ROWS>().0.iter_mut().enumerate() {
             for i in 0..ROWS {
@@ -103,9 +103,9 @@ fn blend_all_rows(image: &RgbImage, rows: &Taps, y: usize, between: &mut [[f32; 
         }
         x += LANES;
     }
-    for x in x..length {
-        for row in 0..count {
-            between[x][row] = blend_row::<1>(image, rows.of(y + row), x)[0];
+    for (x, between) in between.iter_mut().enumerate().skip(x) {
+        for (row, value) in between.iter_mut().take(count).enumerate() {
+            [*value] = blend_row::<1>(image, rows.of(y + row), x);
         }
     }
 }
@@ -129,21 +129,20 @@ fn blend_all_columns(between: &[Pixel], columns: &Taps, input: &InputCard, y: us
     let rows = y * width_px..(y + ROWS.min(height_px - y)) * width_px;
     let (red, rest) = tensor.split_at_mut(width_px * height_px);
     let (green, blue) = rest.split_at_mut(width_px * height_px);
-    let planes = [&mut red[rows.clone()], &mut green[rows.clone()], &mut blue[rows]];
+    let mut planes = [&mut red[rows.clone()], &mut green[rows.clone()], &mut blue[rows]];
     for x in (0..width_px).step_by(ROWS) {
         let wide = ROWS.min(width_px - x);
-        let mut tiles = [[[0.0; ROWS]; ROWS]; 3];
-        for column in 0..wide {
-            let sums = blend_column(between, columns.of(x + column));
-            for channel in 0..3 {
-                for row in 0..ROWS {
-                    tiles[channel][column][row] = (sums[channel][row] - mean) * scale;
+        let mut tile = [[[0.0; ROWS]; 3]; ROWS];
+        for (column, pixel) in tile.iter_mut().take(wide).enumerate() {
+            *pixel = blend_column(between, columns.of(x + column));
+            for channel in pixel {
+                for value in channel {
+                    *value = (*value - mean) * scale;
                 }
             }
         }
-        for channel in 0..3 {
-            let tile = transposed(&tiles[channel]);
-            for (pixels, values) in planes[channel].chunks_exact_mut(width_px).zip(&tile) {
+        for (channel, plane) in planes.iter_mut().enumerate() {
+            for (pixels, values) in plane.chunks_exact_mut(width_px).zip(&rows_of(&tile, channel)) {
                 match pixels[x..].first_chunk_mut::<ROWS>() {
                     Some(pixels) => *pixels = *values,
                     None => pixels[x..].copy_from_slice(&values[..wide]),
@@ -167,16 +166,16 @@ fn blend_column(between: &[Pixel], (first, weights): (usize, &[f32])) -> Pixel {
     sums
 }
 
-/// The columns of `tile` as rows.
+/// A channel of a few columns, row by row.
 #[inline(always)]
-fn transposed(tile: &[[f32; ROWS]; ROWS]) -> [[f32; ROWS]; ROWS] {
-    let mut transposed = [[0.0; ROWS]; ROWS];
-    for i in 0..ROWS {
-        for j in 0..ROWS {
-            transposed[i][j] = tile[j][i];
+fn rows_of(columns: &[Pixel; ROWS], channel: usize) -> [[f32; ROWS]; ROWS] {
+    let mut rows = [[0.0; ROWS]; ROWS];
+    for (row, values) in rows.iter_mut().enumerate() {
+        for (value, column) in values.iter_mut().zip(columns) {
+            *value = column[channel][row];
         }
     }
-    transposed
+    rows
 }
 
 /// For each output position of one axis: the first source position and the weights from there on.

@@ -85,28 +85,27 @@ fn weigh<const N: usize>(seven: [&[u8; N]; 7]) -> [u8; N] {
     let mut means = [0; N];
     if N % 2 == 1 {
         for i in 0..N {
-            let [a, b, c, d, e, f, g] = seven.map(|bytes| u16::from(bytes[i]));
-            means[i] = rounded(weighted_sum(a, b, c, d, e, f, g)) as u8;
+            means[i] = rounded(weighted_sum(seven.map(|bytes| u16::from(bytes[i])))) as u8;
         }
         return means;
     }
-    // Two bytes at a time, the lower and the upper one of 16 bits: no instruction has to widen them. The sum of the lower
-    // ones, which 16 bits hold, is what the sum of both leaves when that of the upper ones is taken away.
+    // Two bytes at a time, the lower and the upper one of 16 bits: no instruction has to widen them. The sum of the
+    // lower ones, which 16 bits hold, is what the sum of both leaves when that of the upper ones is taken away.
     let [a, b, c, d, e, f, g] = seven.map(|bytes| bytes.as_chunks::<2>().0);
     let (means_of_two, _) = means.as_chunks_mut::<2>();
     for i in 0..N / 2 {
         let word = |pairs: &[[u8; 2]]| u16::from_le_bytes(pairs[i]);
         let (a, b, c, d, e, f, g) = (word(a), word(b), word(c), word(d), word(e), word(f), word(g));
-        let upper = weighted_sum(a >> 8, b >> 8, c >> 8, d >> 8, e >> 8, f >> 8, g >> 8);
-        let lower = weighted_sum(a, b, c, d, e, f, g).wrapping_sub(upper << 8);
+        let upper = weighted_sum([a >> 8, b >> 8, c >> 8, d >> 8, e >> 8, f >> 8, g >> 8]);
+        let lower = weighted_sum([a, b, c, d, e, f, g]).wrapping_sub(upper << 8);
         means_of_two[i] = (rounded(lower) | rounded(upper) << 8).to_le_bytes();
     }
     means
 }
 
-/// The sum of seven grey values, each weighted by its tap; of sixteen bits the lowest.
+/// The sum of seven values, each weighted by its tap, modulo 2¹⁶.
 #[inline(always)]
-fn weighted_sum(a: u16, b: u16, c: u16, d: u16, e: u16, f: u16, g: u16) -> u16 {
+fn weighted_sum([a, b, c, d, e, f, g]: [u16; 7]) -> u16 {
     let pair = |tap: u16, a: u16, b: u16| tap.wrapping_mul(a.wrapping_add(b));
     let (outer, inner) = (pair(TAPS[0], a, g).wrapping_add(pair(TAPS[1], b, f)), pair(TAPS[2], c, e));
     outer.wrapping_add(inner).wrapping_add(TAPS[3].wrapping_mul(d))

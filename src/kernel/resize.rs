@@ -7,7 +7,7 @@ use crate::raster::GreyImage;
 /// Weights are fixed-point numbers with this many fractional bits.
 const FRACTION_BITS: u32 = 7;
 const ONE: u16 = 1 << FRACTION_BITS;
-/// Half of what a grey value counts once it was weighted.
+/// Added to a weighted sum before it is shifted, so that it rounds.
 const HALF: u16 = ONE / 2;
 /// Pixels of a row that are made at a time.
 const LANES: usize = 16;

@@ -1,8 +1,8 @@
-//! The index of a map's keyframes, kept in its folder so that the map opens quickly. It only saves time: it is of one state
-//! of the map, and where it is missing, damaged or of another state, it is made anew.
+//! The index of a map's keyframes, kept in its folder so that the map opens quickly. It only saves time: it is of one
+//! state of the map, and where it is missing, damaged or of another state, it is made anew.
 //!
-//! Whoever writes the map takes it out of the folder, for the next change makes it untrue, and puts another one there in
-//! the end. It never takes the room of anything that was learnt.
+//! Whoever writes the map takes it out of the folder, for the next change makes it untrue. It never takes the room of
+//! anything that was learnt: as long as it is mapped it counts, though no name leads to it.
 
 use std::io;
 
@@ -10,10 +10,10 @@ use super::map::PlaceMap;
 use super::snapshot;
 use crate::storage::{self, BESIDE_SUFFIX, FileBytes, FileKind, Folder, HEADER_BYTES};
 
-const NAME: &str = "index.loci";
+pub(super) const NAME: &str = "index.loci";
 const KIND: FileKind = FileKind { magic: *b"LOCIIDX\0", version: 1, name: "index of a map" };
 /// Bytes that say of which state of the map it is.
-const STATE_BYTES: usize = 4;
+const STATE_BYTES: usize = 16;
 
 /// An index that was kept.
 #[derive(Debug)]
@@ -28,7 +28,7 @@ pub struct KeptIndex {
 pub(super) fn found(folder: &dyn Folder, is_writable: bool) -> Option<FileBytes> {
     let file = folder.map(NAME).ok();
     if is_writable && file.is_some() {
-        // Where that fails, nothing can be written either, or the map's state tells that it is not its own any more.
+        // Where that fails, the map's state will tell that it is not its own any more.
         let _ = folder.remove(NAME);
     }
     file
@@ -47,11 +47,11 @@ impl PlaceMap {
     /// it the map opens as well, only slower: so that it cannot be written is no failure, and that it survives a power
     /// cut is not waited for.
     pub fn keep_index(&self, parts: &[&[u8]]) {
-        let length_bytes: u64 = parts.iter().map(|part| part.len() as u64).sum();
-        let Some(state) = self.state().filter(|_| self.is_writable() && self.has_room_for(length_bytes))
-        else {
+        let length_bytes: usize = parts.iter().map(|part| part.len()).sum();
+        if !self.is_writable() || !self.has_room_for((HEADER_BYTES + STATE_BYTES + length_bytes) as u64) {
             return;
-        };
+        }
+        let Some(state) = self.state() else { return };
         let folder = self.folder.as_ref();
         let beside = format!("{NAME}{BESIDE_SUFFIX}");
         let parts = [&[&state[..]], parts].concat();
@@ -61,10 +61,15 @@ impl PlaceMap {
         }
     }
 
-    /// What tells this state of the map from all others.
+    /// What tells this state of the map from all others: how far its journal goes, and what it knows.
     fn state(&self) -> Option<[u8; STATE_BYTES]> {
-        let packed = snapshot::packed(self.journal.end(), &self.contents).ok()?;
-        Some(storage::checksum(&packed).to_le_bytes())
+        let end = self.journal.end();
+        let packed = snapshot::packed(end, &self.contents).ok()?;
+        let mut state = [0; STATE_BYTES];
+        state[..8].copy_from_slice(&end.offset.to_le_bytes());
+        state[8..12].copy_from_slice(&end.segment.to_le_bytes());
+        state[12..].copy_from_slice(&storage::checksum(&packed).to_le_bytes());
+        Some(state)
     }
 }
 
@@ -127,6 +132,14 @@ mod tests {
     }
 
     #[test]
+    fn what_a_power_cut_left_of_one_is_removed() {
+        let folder = folder();
+        folder.open("index.loci.part", true).unwrap().append(b"half").unwrap();
+        opened(&folder, Some(SMALL));
+        assert!(!folder.names().unwrap().contains(&"index.loci.part".to_owned()));
+    }
+
+    #[test]
     fn a_damaged_one_is_none() {
         let folder = folder();
         let index = folder.map(NAME).unwrap().to_vec();
@@ -146,9 +159,17 @@ mod tests {
     #[test]
     fn it_takes_no_room_that_the_budget_has_not() {
         let folder = folder();
+        let is_kept = |folder: &MemoryFolder| folder.names().unwrap().contains(&NAME.to_owned());
         let map = opened(&folder, Some(SMALL));
         map.keep_index(&[&vec![0; SMALL.disk_bytes as usize]]);
-        let names = folder.names().unwrap();
-        assert!(!names.iter().any(|name| name.starts_with(NAME)), "{names:?}");
+        assert!(!is_kept(&folder));
+        // Two thirds of the budget fit, but not beside as much that is still mapped.
+        let most = vec![0; SMALL.disk_bytes as usize * 2 / 3];
+        map.keep_index(&[&most]);
+        assert!(is_kept(&folder));
+        drop(map);
+        let map = opened(&folder, Some(SMALL));
+        map.keep_index(&[&most]);
+        assert!(!is_kept(&folder));
     }
 }

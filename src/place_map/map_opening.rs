@@ -132,13 +132,15 @@ impl PlaceMap {
         if is_writable {
             remove_leftovers(folder.as_ref())?;
         }
+        let index = kept_index::found(folder.as_ref(), is_writable);
+        let index_bytes = index.as_ref().map_or(0, |index| index.len() as u64);
         Ok(Self {
             contents,
             journal,
-            index: kept_index::found(folder.as_ref(), is_writable),
+            index,
             folder,
             options: options.unwrap_or_default(),
-            upkeep: Upkeep::new(length_bytes),
+            upkeep: Upkeep::new(length_bytes, index_bytes),
             recovery,
             snapshot_fault: unreadable.or(snapshot_fault),
             passed_over,
@@ -198,7 +200,8 @@ fn attempts_after(error: &StorageError) -> u32 {
 /// Files that a power cut left beside those that they were to replace.
 fn remove_leftovers(folder: &dyn Folder) -> Result<(), StorageError> {
     let names = folder.names().map_err(StorageError::io("list", folder.path()))?;
-    for name in names.iter().filter(|name| name.starts_with("snapshot") && name.ends_with(BESIDE_SUFFIX)) {
+    let is_ours = |name: &str| [snapshot::NAME, kept_index::NAME].iter().any(|of| name.starts_with(of));
+    for name in names.iter().filter(|name| is_ours(name) && name.ends_with(BESIDE_SUFFIX)) {
         folder.remove(name).map_err(StorageError::io("delete", &folder.path().join(name)))?;
     }
     Ok(())

@@ -29,6 +29,8 @@ pub(super) struct Upkeep {
     /// The segment that is being emptied, and what is still in it, the next one last.
     cleaning: Option<(u32, Vec<Fact>)>,
     snapshot_bytes: u64,
+    /// Of the index that was there when the map was opened.
+    index_bytes: u64,
     /// What was given up since it could not be read, until somebody asks.
     loss: Option<Loss>,
     /// Keyframes among that of which nobody heard yet.
@@ -50,8 +52,8 @@ impl Loss {
 }
 
 impl Upkeep {
-    pub(super) fn new(snapshot_bytes: u64) -> Self {
-        Self { cleaning: None, snapshot_bytes, loss: None, lost_keyframes: Vec::new() }
+    pub(super) fn new(snapshot_bytes: u64, index_bytes: u64) -> Self {
+        Self { cleaning: None, snapshot_bytes, index_bytes, loss: None, lost_keyframes: Vec::new() }
     }
 
     /// What was lost for the time being, `damage` among it.
@@ -65,9 +67,10 @@ impl Upkeep {
 }
 
 impl PlaceMap {
-    /// Bytes that the folder takes; twice the snapshot, for it is replaced by writing another one.
+    /// Bytes that the folder takes; twice the snapshot, for it is replaced by writing another one, and the index that
+    /// was in it, which may still be mapped.
     fn folder_bytes(&self) -> u64 {
-        self.journal.total_bytes() + 2 * self.upkeep.snapshot_bytes
+        self.journal.total_bytes() + 2 * self.upkeep.snapshot_bytes + self.upkeep.index_bytes
     }
 
     /// Whether the budget has room for a file of so many bytes more.

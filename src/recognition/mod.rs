@@ -16,7 +16,6 @@ mod drift;
 mod fusion;
 mod grounds;
 mod identity;
-mod index_snapshot;
 mod joining;
 mod keyframe_index;
 mod learning;

@@ -131,10 +131,7 @@ impl Recogniser {
         let mut keyframes: Vec<ExperienceId> =
             taken.iter().flat_map(|&(_, place)| self.keyframes_of(place)).collect();
         keyframes.sort_unstable();
-        self.restore_index();
-        let indexed: Vec<ExperienceId> = self.keyframes.experiences().collect();
-        let left = indexed.into_iter().filter(|indexed| keyframes.binary_search(indexed).is_err());
-        left.for_each(|keyframe| self.keyframes.remove(keyframe));
+        self.restore_index(|keyframe| keyframes.binary_search(&keyframe).is_ok());
         keyframes.into_iter().try_for_each(|keyframe| self.index_if_sound(keyframe))?;
         taken.iter().for_each(|&(_, place)| self.working_set.touch(place));
         // CNN descriptors were not reckoned with.

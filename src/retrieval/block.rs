@@ -168,6 +168,12 @@ impl Block {
             && lists.iter().zip(&self.lists[1..]).all(is_list_sound)
     }
 
+    /// Number of postings.
+    pub(super) fn postings_count(&self) -> usize {
+        let pairs = self.lists.windows(2).map(|lists| (lists[1].once - lists[0].repeated) as usize / 2);
+        self.postings.len() - pairs.sum::<usize>()
+    }
+
     /// Length of all lists together, in numbers of 16 bits.
     pub(super) fn postings_len(&self) -> usize {
         self.postings.len()
@@ -254,8 +260,14 @@ impl Block {
         let (WeighedWord { weight, repetitions, .. }, span) = query.word(position);
         let Postings { once, repeated } = self.postings(span);
         let shared = |image: u16, times: u16| {
-            let [asked, known] = [query.inverse_length, self.images[usize::from(image)].inverse_length];
-            weight * (f32::from(repetitions) * asked).min(f32::from(times) * known) / asked.min(known)
+            // Postings that are mapped may have changed since they were checked.
+            let known = self.images.get(usize::from(image)).map_or(0.0, |image| image.inverse_length);
+            let asked = query.inverse_length;
+            let shorter = asked.min(known);
+            if shorter == 0.0 {
+                return 0.0;
+            }
+            weight * (f32::from(repetitions) * asked).min(f32::from(times) * known) / shorter
         };
         if repetitions == 1 {
             for &image in once {

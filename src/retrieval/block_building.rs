@@ -43,7 +43,8 @@ impl Draft {
                 self.repeated.extend(postings.repeated.iter().map(|&[image, times]| [image + first, times]));
             }
             Moved::To(places) => {
-                let place = |image: u16| places[usize::from(image)];
+                // Postings that are mapped may have changed since they were checked.
+                let place = |image: u16| places.get(usize::from(image)).copied().unwrap_or(GONE);
                 let is_there = |image: u16| place(image) != GONE;
                 let once = postings.once.iter().filter(|&&image| is_there(image));
                 self.once.extend(once.map(|&image| place(image)));

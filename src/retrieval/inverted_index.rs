@@ -43,9 +43,9 @@ const FEWEST_SWEPT: usize = 64;
 
 /// Images, each under its words.
 ///
-/// They lie in blocks that do not change: new images make a small block, and a block becomes one with those behind it once
-/// they are as large together (as in O'Neil et al., *The log-structured merge-tree*, 1996), so that there are few, and old
-/// postings move seldom.
+/// They lie in blocks that do not change: new images make a small block, and a block becomes one with those behind it
+/// once they are as large together (as in O'Neil et al., *The log-structured merge-tree*, 1996), so that there are few,
+/// and old postings move seldom.
 #[derive(Default)]
 pub struct InvertedIndex {
     /// In the order of adding.
@@ -120,6 +120,17 @@ impl InvertedIndex {
         is_due
     }
 
+    /// Forgets all images that are not `wanted`, and frees their memory.
+    pub fn retain(&mut self, wanted: impl Fn(DocumentId) -> bool) {
+        for (document, is_removed) in (0..).zip(&mut self.is_removed) {
+            if !*is_removed && !wanted(DocumentId(document)) {
+                *is_removed = true;
+                self.unswept.push(document);
+            }
+        }
+        self.sweep();
+    }
+
     /// Frees the memory of what was removed.
     pub fn sweep(&mut self) {
         self.settle();
@@ -157,6 +168,12 @@ impl InvertedIndex {
         }
         let free = (0..documents).rev().filter(|&document| is_removed[document as usize]).collect();
         Some(Self { blocks, is_removed, free, ..Self::default() })
+    }
+
+    /// Number of postings, but for images that wait to be put into a block: an image has one for each of its words.
+    #[must_use]
+    pub fn postings(&self) -> usize {
+        self.blocks.iter().map(Block::postings_count).sum()
     }
 
     /// Whether an image of this number is indexed.

@@ -112,11 +112,7 @@ impl Folder for DiskFolder {
     }
 
     fn map(&self, name: &str) -> io::Result<FileBytes> {
-        let path = self.0.join(name);
-        if !fs::metadata(&path)?.is_file() {
-            return Err(io::Error::other("not a regular file"));
-        }
-        FileBytes::of(&File::open(path)?)
+        FileBytes::open(&self.0.join(name))
     }
 
     fn rename(&self, from: &str, to: &str) -> io::Result<()> {

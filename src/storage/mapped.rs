@@ -25,26 +25,21 @@ impl FileBytes {
     /// # Errors
     /// If it is not a regular file or cannot be opened.
     pub fn map(path: &Path) -> Result<Self, StorageError> {
-        let metadata = path.metadata().map_err(StorageError::io("open", path))?;
-        if !metadata.is_file() {
-            let source = std::io::Error::other("not a regular file");
-            return Err(StorageError::Io { action: "open", path: path.to_owned(), source });
-        }
-        let file = File::open(path).map_err(StorageError::io("open", path))?;
-        Self::of(&file).map_err(StorageError::io("map", path))
+        Self::open(path).map_err(StorageError::io("open", path))
     }
 
-    /// Maps a regular file read-only.
-    ///
-    /// # Errors
-    /// What the medium says.
-    pub fn of(file: &File) -> io::Result<Self> {
-        if file.metadata()?.len() == 0 {
+    pub(super) fn open(path: &Path) -> io::Result<Self> {
+        let metadata = path.metadata()?;
+        if !metadata.is_file() {
+            return Err(io::Error::other("not a regular file"));
+        }
+        if metadata.len() == 0 {
             return Ok(Self::Owned(Vec::new()));
         }
+        let file = File::open(path)?;
         // SAFETY: the mapping is read-only and private. The files mapped here are replaced by rename (`replace`) or
         // removed, never written in place, so their pages do not change or vanish under us.
-        let map = unsafe { Mmap::map(file) }?;
+        let map = unsafe { Mmap::map(&file) }?;
         Ok(Self::Mapped(map))
     }
 }

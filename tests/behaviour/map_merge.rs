@@ -78,7 +78,7 @@ fn two_drives_through_one_street_become_one_map_and_stay_as_they_are() {
 
 #[test]
 fn two_drives_through_one_world_are_joined_whichever_comes_first() {
-    // A third of the places may stay double.
+    // A third of the places may stay double: of 20 of the streets 15 are joined, of 18 of the corridors 16.
     for world in ["street", "corridor"] {
         let (mut joined, mut places) = ([0; 2], 0);
         for seed in 23..26 {

@@ -1,13 +1,13 @@
 //! The index of the keyframes as bytes, and back, so that a map opens without reading the words of every keyframe.
 //!
-//! All numbers are little-endian, of 32 bits: how many vocabularies there are, and how many documents; the fingerprint of
-//! every vocabulary; of every document the experience, or [`NONE`], and its postings; then an inverted index for each
-//! vocabulary.
+//! All numbers are little-endian, of 32 bits: how many vocabularies there are, and how many documents; the fingerprint
+//! of every vocabulary; of every document the experience, or [`NONE`], and its postings; then an inverted index for
+//! each vocabulary.
 
 use std::borrow::Cow;
 
-use super::keyframe_index::{IndexedKeyframe, KeyframeIndex};
-use super::recogniser::Recogniser;
+use super::super::recogniser::Recogniser;
+use super::{IndexedKeyframe, KeyframeIndex};
 use crate::place_map::{ExperienceId, KeptIndex, PlaceId};
 use crate::retrieval::{DocumentId, InvertedIndex, SnapshotReader};
 
@@ -24,6 +24,9 @@ fn halves(fingerprint: u64) -> [u32; 2] {
 impl KeyframeIndex {
     /// The index as bytes, in parts that follow each other; `None` if its words may grow.
     fn snapshot(&mut self) -> Option<Vec<Cow<'_, [u8]>>> {
+        if self.may_grow() {
+            return None;
+        }
         self.sweep();
         let mut keyframes = vec![[NONE, 0]; self.keyframes.len()];
         for (experience, document) in &self.documents {
@@ -34,23 +37,23 @@ impl KeyframeIndex {
         let fingerprints = self.fingerprints().flat_map(halves);
         let numbers = counts.into_iter().chain(fingerprints).chain(keyframes.into_iter().flatten());
         let mut parts = vec![Cow::Owned(numbers.flat_map(u32::to_le_bytes).collect())];
-        for index in &mut self.words {
-            if index.grown.is_some() {
-                return None;
-            }
-            parts.extend(index.inverted.snapshot());
-        }
+        self.words.iter_mut().for_each(|index| parts.extend(index.inverted.snapshot()));
         Some(parts)
     }
 
-    /// Becomes the index that was kept, if it is of these vocabularies and `place_of` knows where all of its keyframes are;
-    /// else stays as it is.
-    fn restore(&mut self, kept: KeptIndex, place_of: impl Fn(ExperienceId) -> Option<PlaceId>) -> Option<()> {
+    /// Becomes the index that was kept, with those of its keyframes that are `wanted`, if it is of these vocabularies and
+    /// `place_of` knows where all of them are; else stays as it is.
+    fn restore(
+        &mut self,
+        kept: KeptIndex,
+        place_of: impl Fn(ExperienceId) -> Option<PlaceId>,
+        wanted: impl Fn(ExperienceId) -> bool,
+    ) -> Option<()> {
         let mut reader = SnapshotReader::new(kept.file, kept.begin);
         let [vocabularies, documents] = reader.rows(1)?.next()?;
         let is_own = vocabularies as usize == self.words.len()
             && reader.rows(self.words.len())?.eq(self.fingerprints().map(halves))
-            && self.words.iter().all(|index| index.grown.is_none());
+            && !self.may_grow();
         let rows = reader.rows::<2>(documents as usize).filter(|_| is_own)?.zip(0..);
         let mut restored = Self::new(self.vocabularies().clone(), false);
         let nowhere = IndexedKeyframe { place: PlaceId(NONE), experience: ExperienceId(NONE), postings: 0 };
@@ -60,21 +63,25 @@ impl KeyframeIndex {
             let keyframe = IndexedKeyframe { place: place_of(experience)?, experience, postings };
             restored.keyframes[document as usize] = keyframe;
             restored.documents.insert(experience, DocumentId(document));
-            restored.postings += postings as usize;
         }
         for index in &mut restored.words {
             index.inverted = InvertedIndex::restored(&mut reader, documents)?;
             let are_there = restored.documents.values().all(|&document| index.inverted.contains(document));
             (are_there && index.inverted.len() == restored.documents.len()).then_some(())?;
         }
+        let stated: u64 = restored.keyframes.iter().map(|keyframe| u64::from(keyframe.postings)).sum();
+        let counted: usize = restored.words.iter().map(|index| index.inverted.postings()).sum();
+        (stated == counted as u64).then_some(())?;
+        restored.retain(wanted);
         *self = restored;
         Some(())
     }
 }
 
 impl Recogniser {
-    /// Takes over the index that was kept with the map, if it is of its present state.
-    pub(super) fn restore_index(&mut self) {
+    /// Takes over the index that was kept with the map, with those of its keyframes that are `wanted`, if it is of the
+    /// map's present state.
+    pub(in super::super) fn restore_index(&mut self, wanted: impl Fn(ExperienceId) -> bool) {
         let Some(kept) = self.map.take_index() else { return };
         let Self { map, keyframes, .. } = self;
         let place_of = |keyframe| {
@@ -82,12 +89,12 @@ impl Recogniser {
             map.place(experience.learnt_as).map(|place| place.id)
         };
         // Without it, all keyframes are indexed one by one.
-        let _ = keyframes.restore(kept, place_of);
+        let _ = keyframes.restore(kept, place_of, wanted);
     }
 
     /// Keeps the index with the map, as it is now, if making it anew would take long.
-    pub(super) fn keep_index(&mut self) {
-        if self.keyframes.experiences().count() < FEWEST_KEPT {
+    pub(in super::super) fn keep_index(&mut self) {
+        if self.options.read_only || self.keyframes.documents.len() < FEWEST_KEPT {
             return;
         }
         if let Some(parts) = self.keyframes.snapshot() {
@@ -102,8 +109,8 @@ mod tests {
     use std::fs;
     use std::path::Path;
 
-    use super::super::world_for_tests::{Robot, card, no_interval, opened};
-    use super::super::{Recognition, RecognitionOptions};
+    use super::super::super::world_for_tests::{Robot, card, no_interval, opened};
+    use super::super::super::{Recognition, RecognitionOptions};
     use super::*;
     use crate::place_map::PlaceMap;
 
@@ -139,6 +146,7 @@ mod tests {
             let (without, answers_without) = answers(folder.path(), no_interval(), model);
             assert_eq!(format!("{answers_with:?}"), format!("{answers_without:?}"));
             assert_eq!(with.recogniser.index_bytes(), without.recogniser.index_bytes());
+            assert!(with.recogniser.into_map().take_index().is_none(), "it was taken over");
             assert!(answers_with.iter().filter(|answer| answer.place.is_some()).count() >= 5);
         }
     }
@@ -150,14 +158,17 @@ mod tests {
         let kept = || PlaceMap::open_read_only(folder.path()).unwrap().take_index().unwrap();
         let place_of = |_| Some(PlaceId(0));
         let mut own = Robot::without_cnn();
-        assert_eq!(own.recogniser.keyframes.restore(kept(), place_of), Some(()));
+        assert_eq!(own.recogniser.keyframes.restore(kept(), place_of, |_| true), Some(()));
         assert_eq!(own.recogniser.keyframes.experiences().count(), 6);
-        assert_eq!(own.recogniser.keyframes.restore(kept(), |_| None), None);
+        assert_eq!(own.recogniser.keyframes.restore(kept(), |_| None, |_| true), None);
+        let few = |keyframe: ExperienceId| keyframe.0 < 2;
+        assert_eq!(own.recogniser.keyframes.restore(kept(), place_of, few), Some(()));
+        assert_eq!(own.recogniser.keyframes.experiences().count(), 2);
         let mut by_light = Robot::by_day_and_night();
-        assert_eq!(by_light.recogniser.keyframes.restore(kept(), place_of), None);
+        assert_eq!(by_light.recogniser.keyframes.restore(kept(), place_of, |_| true), None);
         let growing = RecognitionOptions { grow_vocabulary: true, ..no_interval() };
         let mut growing = Robot::new(None, growing, opened(&folder.path().join("growing")));
-        assert_eq!(growing.recogniser.keyframes.restore(kept(), place_of), None);
+        assert_eq!(growing.recogniser.keyframes.restore(kept(), place_of, |_| true), None);
         assert!(growing.recogniser.keyframes.snapshot().is_none());
     }
 

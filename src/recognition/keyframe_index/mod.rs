@@ -1,5 +1,7 @@
 //! The keyframes as BoW+HV finds them: by their words, in every light.
 
+mod snapshot;
+
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -26,29 +28,29 @@ const POSTING_BYTES: usize = 3;
 const KEYFRAME_BYTES: usize = 56;
 
 #[derive(Clone, Copy)]
-pub(super) struct IndexedKeyframe {
-    pub(super) place: PlaceId,
-    pub(super) experience: ExperienceId,
-    pub(super) postings: u32,
+struct IndexedKeyframe {
+    place: PlaceId,
+    experience: ExperienceId,
+    postings: u32,
 }
 
 /// Keyframes, each under the words of every condition.
 pub(super) struct KeyframeIndex {
     vocabularies: Arc<VocabularySet>,
     /// One a condition; all number their documents alike.
-    pub(super) words: Vec<WordIndex>,
+    words: Vec<WordIndex>,
     /// By document.
-    pub(super) keyframes: Vec<IndexedKeyframe>,
-    pub(super) documents: HashMap<ExperienceId, DocumentId>,
+    keyframes: Vec<IndexedKeyframe>,
+    documents: HashMap<ExperienceId, DocumentId>,
     /// Words of all keyframes together, in every condition.
-    pub(super) postings: usize,
+    postings: usize,
 }
 
 /// The keyframes under the words of one condition.
-pub(super) struct WordIndex {
-    pub(super) inverted: InvertedIndex,
+struct WordIndex {
+    inverted: InvertedIndex,
     /// The words that grew where the vocabulary covers the keyframes badly, if any may.
-    pub(super) grown: Option<GrownWords>,
+    grown: Option<GrownWords>,
 }
 
 impl WordIndex {
@@ -108,8 +110,13 @@ impl KeyframeIndex {
         &self.vocabularies
     }
 
+    /// Whether keyframes that the vocabularies cover badly bring words of their own.
+    fn may_grow(&self) -> bool {
+        self.words.iter().any(|index| index.grown.is_some())
+    }
+
     /// Of the vocabularies.
-    pub(super) fn fingerprints(&self) -> impl Iterator<Item = u64> {
+    fn fingerprints(&self) -> impl Iterator<Item = u64> {
         self.vocabularies.conditions().map(|condition| self.vocabularies.vocabulary(condition).fingerprint())
     }
 
@@ -189,6 +196,19 @@ impl KeyframeIndex {
                 grown.retain(|word| inverted.shows(word));
             }
         }
+    }
+
+    /// Forgets all keyframes that are not `wanted`, and frees their memory.
+    fn retain(&mut self, wanted: impl Fn(ExperienceId) -> bool) {
+        self.documents.retain(|&keyframe, _| wanted(keyframe));
+        let Self { words, keyframes, documents, .. } = self;
+        for index in words {
+            let is_left =
+                |document: DocumentId| documents.contains_key(&keyframes[document.0 as usize].experience);
+            index.inverted.retain(is_left);
+        }
+        let postings = |document: &DocumentId| self.keyframes[document.0 as usize].postings as usize;
+        self.postings = self.documents.values().map(postings).sum();
     }
 
     /// Frees the memory of what was removed.
