@@ -36,8 +36,8 @@ impl Pyramid {
         }
     }
 
-    /// Every level of `frame`, which was given to [`build`](Self::build) last, from the finest on, with the pixels of the
-    /// frame that one of its pixels covers.
+    /// Every level of `frame`, which was given to [`build`](Self::build) last, from the finest on, with the pixels of
+    /// the frame that one of its pixels covers.
     pub(super) fn levels<'a>(
         &'a self,
         frame: &'a GreyImage,

@@ -282,8 +282,8 @@ fn worst(best: &FixedVec<Retrieved, MAX_RETRIEVED>) -> f32 {
     best.last().filter(|_| best.is_full()).map_or(0.0, |worst| worst.score)
 }
 
-/// The blocks that are to become one, if any: the two newest while they are small; else the newest that are not, each as
-/// large at most as all behind it, as many as fit into one.
+/// The blocks that are to become one, if any: the two newest while they are small; else the newest that are not, each
+/// as large at most as all behind it, as many as fit into one.
 fn next_merged(blocks: &[Block]) -> Option<Range<usize>> {
     let len = |block: &Block| block.images().len();
     if let [.., before, last] = blocks

@@ -67,8 +67,8 @@ impl InvertedIndex {
         parts
     }
 
-    /// The index that [became](Self::snapshot) what comes next in the file; `None` if that is none, or if the numbers of
-    /// its documents are not below `documents`.
+    /// The index that [became](Self::snapshot) what comes next in the file; `None` if that is none, or one of another
+    /// number of documents.
     #[must_use]
     pub fn restored(reader: &mut SnapshotReader, documents: u32) -> Option<Self> {
         let [count, blocks] = reader.rows(1)?.next()?;

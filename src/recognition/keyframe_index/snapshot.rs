@@ -41,8 +41,8 @@ impl KeyframeIndex {
         Some(parts)
     }
 
-    /// Becomes the index that was kept, with those of its keyframes that are `wanted`, if it is of these vocabularies and
-    /// `place_of` knows where all of them are; else stays as it is.
+    /// Becomes the index that was kept, with those of its keyframes that are `wanted`, if it is of these vocabularies
+    /// and `place_of` knows where all of them are; else stays as it is.
     fn restore(
         &mut self,
         kept: KeptIndex,
