@@ -2,6 +2,8 @@
 //! until the first question can be asked. Everything on one thread.
 #![expect(missing_docs, reason = "criterion's macro writes a public function")]
 
+mod made_up_map;
+
 use std::fs;
 use std::hint::black_box;
 use std::path::Path;
@@ -9,83 +11,17 @@ use std::sync::Arc;
 
 use criterion::{BatchSize, Bencher, Criterion, criterion_group, criterion_main};
 use loci::cnn;
-use loci::feature::{Descriptor, Features, Keypoint};
-use loci::frame::Frame;
-use loci::geometry::Point;
-use loci::place_map::{Appearance, Durability, MapOptions, NewExperience, PlaceMap, Traits, VocabularyWords};
-use loci::raster::{GreyImage, RgbImage};
+use loci::place_map::{MapOptions, PlaceMap};
 use loci::recognition::{Look, Recogniser, RecognitionOptions};
-use loci::vocabulary::{Light, Vocabulary, VocabularySet, WordId};
-use rand::{Rng, SeedableRng};
+use loci::vocabulary::{Light, Vocabulary, VocabularySet};
+use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
 const KEYFRAMES: u64 = 50_000;
-const KEYFRAMES_A_PLACE: u64 = 5;
-const FEATURES: usize = 256;
-const DESCRIPTOR_DIMENSIONS: usize = 256;
+/// What the hash of the model is made of.
+const MODEL: &str = "0";
 const INDEX: &str = "index.loci";
 const VOCABULARY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/vocab/default.lvoc");
-
-fn frame(index: u64) -> Frame {
-    Frame {
-        index,
-        capture_nanos: index as i64,
-        name: format!("{index:06}.jpg"),
-        colour: RgbImage::new(1, 1),
-        grey: GreyImage::new(1, 1),
-        jpeg: None,
-        pose: None,
-        true_place: None,
-    }
-}
-
-fn features(random: &mut Pcg64) -> Features {
-    let keypoint = |random: &mut Pcg64| Keypoint {
-        point: Point { x: random.random_range(0.0..640.0), y: random.random_range(0.0..480.0) },
-        scale: 1.0,
-        angle_radians: random.random_range(-3.0..3.0),
-        response: 20,
-    };
-    Features {
-        width_px: 640,
-        height_px: 480,
-        keypoints: (0..FEATURES).map(|_| keypoint(random)).collect(),
-        descriptors: (0..FEATURES).map(|_| Descriptor(random.random())).collect(),
-    }
-}
-
-fn appearance(random: &mut Pcg64) -> Appearance {
-    let values = (0..DESCRIPTOR_DIMENSIONS).map(|_| random.random_range(-1.0..1.0)).collect();
-    let descriptor = cnn::Descriptor::from_values(values).expect("a direction");
-    Appearance { model: "0".repeat(64), descriptor: (&descriptor).into() }
-}
-
-fn write_map(folder: &Path, vocabulary: &Vocabulary) {
-    let options = MapOptions { durability: Durability::None, ..MapOptions::default() };
-    let mut map = PlaceMap::open(folder, options).expect("a new map");
-    let mut random = Pcg64::seed_from_u64(1);
-    let mut place = None;
-    for index in 0..KEYFRAMES {
-        let features = features(&mut random);
-        let quantised = vocabulary.quantise_all(&features.descriptors);
-        let mut words: Vec<WordId> = quantised.iter().map(|quantised| quantised.word).collect();
-        words.sort_unstable();
-        let traits = Traits {
-            words: vec![VocabularyWords { vocabulary: vocabulary.fingerprint(), words }],
-            appearance: Some(appearance(&mut random)),
-        };
-        let new = NewExperience {
-            frame: &frame(index),
-            view: index,
-            mean_luminance: 100.0,
-            thumbnail_jpeg: &[],
-            keyframe: Some((&features, &traits)),
-        };
-        let learnt = map.learn(place.filter(|_| index % KEYFRAMES_A_PLACE > 0), &new).expect("room");
-        place = Some(learnt.place);
-    }
-    map.close().expect("a snapshot");
-}
 
 /// Memory of this process in KiB that no file backs.
 fn private_kib() -> u64 {
@@ -113,11 +49,11 @@ fn keep_index(folder: &Path, vocabularies: &Arc<VocabularySet>) -> u64 {
 fn of_fifty_thousand_keyframes(criterion: &mut Criterion) {
     let vocabulary = Vocabulary::open(Path::new(VOCABULARY)).expect("the default vocabulary");
     let folder = tempfile::tempdir().expect("a folder");
-    write_map(folder.path(), &vocabulary);
+    made_up_map::write(folder.path(), KEYFRAMES, &vocabulary, &MODEL.repeat(64));
     let vocabularies = Arc::new(VocabularySet::open(&[VOCABULARY.into()]).expect("the default vocabulary"));
     let card = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/efficientnet-lite0/card.toml");
     let card = cnn::ModelCard::read(&card).expect("the default model");
-    let model = cnn::ModelCard { sha256: "0".repeat(64), ..card };
+    let model = cnn::ModelCard { sha256: MODEL.repeat(64), ..card };
     let disk_bytes: u64 = fs::read_dir(folder.path())
         .expect("the map's folder")
         .map(|entry| entry.expect("a file").metadata().expect("its length").len())
@@ -141,12 +77,12 @@ fn of_fifty_thousand_keyframes(criterion: &mut Criterion) {
         bencher.iter(|| PlaceMap::open_read_only(black_box(folder.path())).expect("the map"));
     });
     let mut random = Pcg64::seed_from_u64(2);
-    let look = Look::new(features(&mut random), (&vocabularies, Light::default()), None);
+    let look = Look::new(made_up_map::features(&mut random), (&vocabularies, Light::default()), None);
     // Until the first question is answered; closing the map again does not count.
     let open_and_index = |bencher: &mut Bencher<'_>| {
         let open = |()| {
             let mut recogniser = opened(black_box(folder.path()), &vocabularies, Some(model.clone()));
-            recogniser.recognise(&frame(0), &look, Vec::new);
+            recogniser.recognise(&made_up_map::frame(0), &look, Vec::new);
             recogniser
         };
         bencher.iter_batched(|| (), open, BatchSize::PerIteration);

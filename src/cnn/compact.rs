@@ -6,6 +6,7 @@
 use std::sync::Arc;
 
 use super::Descriptor;
+use crate::kernel;
 
 /// Shares of the greatest value.
 const STEPS: f32 = 127.0;
@@ -57,13 +58,9 @@ impl CompactDescriptor {
         if self.values.len() != other.values.len() {
             return 0.0;
         }
-        (dot(&self.values, &other.values) as f32 * self.step * other.step).clamp(-1.0, 1.0)
+        // Of at most 65,536 values, so that no sum overflows.
+        (kernel::dot(&self.values, &other.values) as f32 * self.step * other.step).clamp(-1.0, 1.0)
     }
-}
-
-/// Dot product; the sum of so few products of bytes cannot overflow.
-fn dot(a: &[i8], b: &[i8]) -> i32 {
-    a.iter().zip(b).map(|(&a, &b)| i32::from(a) * i32::from(b)).sum()
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 mod blur;
 mod difference_hash;
 mod dispatch;
+mod dot;
 mod hamming;
 mod lanes;
 mod luma;
@@ -19,6 +20,7 @@ pub(crate) use dispatch::for_every_processor;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use dispatch::has_avx2;
 pub use dispatch::instructions;
+pub use dot::dot;
 pub use hamming::{hamming, nearest};
 pub use luma::luma;
 pub use prefetch::prefetch;
