@@ -1,4 +1,7 @@
-//! Rotated BRIEF: 256 brightness comparisons between point pairs, turned with the keypoint.
+//! Rotated BRIEF: 256 brightness comparisons between point pairs, turned with the keypoint. The pattern is kept in all
+//! directions, as in the ORB paper (there every 12°).
+
+use std::f32::consts::TAU;
 
 use super::Descriptor;
 use super::brief_pattern::PATTERN;
@@ -23,8 +26,8 @@ type Patch = [u8; STRIDE * STRIDE];
 /// Points of the pattern, the first of every pair and then the second.
 const POINTS: usize = 2 * PATTERN.len();
 
-/// Adding this to a small number leaves its nearest whole one, of two the even, in the lowest bits.
-const ROUNDING: f32 = (3 << 22) as f32;
+/// Directions that the pattern is kept in, 1.4° apart: more find no more true matches, half as many find a little less.
+const TURNS: usize = 256;
 
 const fn coordinates(axis: usize) -> [f32; POINTS] {
     let mut coordinates = [0.0; POINTS];
@@ -40,10 +43,54 @@ const fn coordinates(axis: usize) -> [f32; POINTS] {
 static X: [f32; POINTS] = coordinates(0);
 static Y: [f32; POINTS] = coordinates(1);
 
-for_every_processor! {
+/// Where the points of the pattern lie in a patch, for every direction.
+#[derive(Debug)]
+pub(super) struct TurnedPattern {
+    turns: Vec<[u16; POINTS]>,
+}
+
+impl TurnedPattern {
+    pub(super) fn new() -> Self {
+        Self { turns: (0..TURNS).map(turned).collect() }
+    }
+
     /// Adds to `descriptors` that of every one of `corners`, turned by its angle in radians. They were found in the
     /// level that is `blurred`, inside which they lie ≥ 19 px.
     pub(super) fn describe(
+        &self,
+        blurred: &GreyImage,
+        corners: &[Corner],
+        angles_radians: &[f32],
+        descriptors: &mut Vec<Descriptor>,
+    ) {
+        describe(&self.turns, blurred, corners, angles_radians, descriptors);
+    }
+}
+
+/// Indices of the pattern's points in a patch, each turned by so many of [`TURNS`] and rounded.
+fn turned(turn: usize) -> [u16; POINTS] {
+    let (sin, cos) = angle_radians(turn).sin_cos();
+    std::array::from_fn(|i| {
+        let dx = (cos * X[i] - sin * Y[i]).round_ties_even() as isize;
+        let dy = (sin * X[i] + cos * Y[i]).round_ties_even() as isize;
+        (REACH_PX.wrapping_add_signed(dy) * STRIDE + REACH_PX.wrapping_add_signed(dx)) as u16
+    })
+}
+
+fn angle_radians(turn: usize) -> f32 {
+    turn as f32 * (TAU / TURNS as f32)
+}
+
+/// The turn that is nearest to an angle.
+#[inline(always)]
+fn nearest_turn(angle_radians: f32) -> usize {
+    let turns = (angle_radians * (TURNS as f32 / TAU)).round_ties_even() as isize;
+    turns.rem_euclid(TURNS as isize) as usize
+}
+
+for_every_processor! {
+    fn describe(
+        turns: &[[u16; POINTS]],
         blurred: &GreyImage,
         corners: &[Corner],
         angles_radians: &[f32],
@@ -53,37 +100,30 @@ for_every_processor! {
 
 #[inline(always)]
 fn describe_all(
+    turns: &[[u16; POINTS]],
     blurred: &GreyImage,
     corners: &[Corner],
     angles_radians: &[f32],
     descriptors: &mut Vec<Descriptor>,
 ) {
-    let mut patch = [0; STRIDE * STRIDE];
+    let (mut patch, mut pixels) = ([0; STRIDE * STRIDE], [0; POINTS]);
     for (&Corner { x, y, .. }, &angle_radians) in corners.iter().zip(angles_radians) {
         let (first, last) = ((y - REACH_PX) * blurred.width() + x, (y + REACH_PX) * blurred.width() + x);
         let around = &blurred.pixels()[first - REACH_PX..=last + REACH_PX];
         for (pixels, row) in patch.chunks_exact_mut(STRIDE).zip(around.chunks(blurred.width())) {
             pixels[..ROW_PX].copy_from_slice(&row[..ROW_PX]);
         }
-        descriptors.push(compare(&patch, angle_radians));
+        let at = &turns[nearest_turn(angle_radians)];
+        for i in 0..POINTS {
+            pixels[i] = patch[usize::from(at[i]) % patch.len()];
+        }
+        descriptors.push(compare(&pixels));
     }
 }
 
+/// One bit for every pair, set where its first pixel is darker.
 #[inline(always)]
-fn compare(patch: &Patch, angle_radians: f32) -> Descriptor {
-    let (sin, cos) = angle_radians.sin_cos();
-    let nearest = |value: f32| (value + ROUNDING).to_bits().wrapping_sub(ROUNDING.to_bits());
-    let centre = (REACH_PX * STRIDE + REACH_PX) as u32;
-    let mut at = [0_u16; POINTS];
-    for i in 0..POINTS {
-        let dx = nearest(cos * X[i] - sin * Y[i]);
-        let dy = nearest(sin * X[i] + cos * Y[i]);
-        at[i] = dy.wrapping_mul(STRIDE as u32).wrapping_add(dx).wrapping_add(centre) as u16;
-    }
-    let mut pixels = [0; POINTS];
-    for i in 0..POINTS {
-        pixels[i] = patch[usize::from(at[i]) % patch.len()];
-    }
+fn compare(pixels: &[u8; POINTS]) -> Descriptor {
     let (first, second) = pixels.split_at(PATTERN.len());
     let mut is_darker = [0; PATTERN.len()];
     for i in 0..PATTERN.len() {
@@ -127,13 +167,15 @@ mod tests {
 
     fn describe_one(image: &GreyImage, x: usize, y: usize, angle_radians: f32) -> Descriptor {
         let mut descriptors = Vec::new();
-        describe(image, &[Corner { x, y, response: 0 }], &[angle_radians], &mut descriptors);
+        let corner = Corner { x, y, response: 0 };
+        TurnedPattern::new().describe(image, &[corner], &[angle_radians], &mut descriptors);
         descriptors[0]
     }
 
-    /// The tests one by one, each point turned and rounded by itself.
+    /// The tests one by one, each point turned by the nearest of the kept directions and rounded by itself.
     fn by_definition(image: &GreyImage, x: usize, y: usize, angle_radians: f32) -> Descriptor {
-        let (sin, cos) = angle_radians.sin_cos();
+        let turn = (angle_radians / TAU * 256.0).round().rem_euclid(256.0);
+        let (sin, cos) = (turn * (TAU / 256.0)).sin_cos();
         let sample = |px: i8, py: i8| {
             let (px, py) = (f32::from(px), f32::from(py));
             let dx = (cos * px - sin * py).round_ties_even() as isize;
@@ -151,14 +193,16 @@ mod tests {
         #[test]
         fn every_bit_is_one_test_between_two_turned_points(
             pixels in proptest::collection::vec(any::<u8>(), 40 * 41), right in 0..2_usize, down in 0..3_usize,
-            angle_radians in -4.0..4.0_f32,
+            turn in -160..160_i32, beside in -0.49..0.49_f32,
         ) {
             let image = GreyImage::from_pixels(40, 41, pixels).unwrap();
             let (x, y) = (19 + right, 19 + down);
+            let angle_radians = (turn as f32 + beside) * (TAU / 256.0);
             let expected = by_definition(&image, x, y, angle_radians);
             prop_assert_eq!(describe_one(&image, x, y, angle_radians), expected);
             let mut plain = Vec::new();
-            describe_all(&image, &[Corner { x, y, response: 0 }], &[angle_radians], &mut plain);
+            let turns = TurnedPattern::new().turns;
+            describe_all(&turns, &image, &[Corner { x, y, response: 0 }], &[angle_radians], &mut plain);
             prop_assert_eq!(plain[0], expected);
         }
     }

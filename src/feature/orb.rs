@@ -1,6 +1,6 @@
 //! The ORB extractor: a pyramid, corners on every level, an orientation and a descriptor for each.
 
-use super::brief;
+use super::brief::TurnedPattern;
 use super::detection::{Corner, CornerDetector};
 use super::orientation::IntensityCentroid;
 use super::pyramid::Pyramid;
@@ -49,6 +49,7 @@ pub struct OrbExtractor {
     pyramid: Pyramid,
     detector: CornerDetector,
     centroid: IntensityCentroid,
+    pattern: TurnedPattern,
     blur: Blur,
     corners: Vec<Corner>,
     angles_radians: Vec<f32>,
@@ -65,6 +66,7 @@ impl OrbExtractor {
             pyramid: Pyramid::default(),
             detector: CornerDetector::default(),
             centroid: IntensityCentroid::new(),
+            pattern: TurnedPattern::new(),
             blur: Blur::default(),
             corners: Vec::new(),
             angles_radians: Vec::new(),
@@ -98,7 +100,8 @@ impl OrbExtractor {
             }
             self.centroid.measure(level, &self.corners, &mut self.angles_radians);
             self.blur.blur_7x7(level, &mut self.blurred);
-            brief::describe(&self.blurred, &self.corners, &self.angles_radians, &mut features.descriptors);
+            let descriptors = &mut features.descriptors;
+            self.pattern.describe(&self.blurred, &self.corners, &self.angles_radians, descriptors);
             let found = self.corners.iter().zip(&self.angles_radians);
             features.keypoints.extend(found.map(|(corner, &angle_radians)| Keypoint {
                 point: Point { x: in_frame(corner.x, scale), y: in_frame(corner.y, scale) },
@@ -172,7 +175,7 @@ mod tests {
         let angles_radians: Vec<f32> =
             features.keypoints.iter().map(|keypoint| keypoint.angle_radians).collect();
         let mut expected = Vec::new();
-        brief::describe(&blurred, &corners, &angles_radians, &mut expected);
+        TurnedPattern::new().describe(&blurred, &corners, &angles_radians, &mut expected);
         assert_eq!(features.descriptors, expected);
     }
 
