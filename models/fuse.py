@@ -121,7 +121,9 @@ def experiments(folder):
 
 
 def run(program, *arguments):
-    answer = subprocess.run([program, *map(str, arguments)], check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    answer = subprocess.run([program, *map(str, arguments)], capture_output=True)
+    if answer.returncode != 0:
+        raise SystemExit(answer.stderr.decode())
     return answer.stdout.decode()
 
 

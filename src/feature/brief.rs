@@ -17,31 +17,15 @@ pub(super) const BORDER_PX: usize = 19;
 const REACH_PX: usize = BORDER_PX - 1;
 /// Pixels of a row that the pattern may reach.
 const ROW_PX: usize = 2 * REACH_PX + 1;
-/// Pixels from one row of a [`Patch`] to the next; a power of two, so that no index of a pixel can leave it.
+/// Pixels from one row to the next of a patch, the square around a corner that its tests compare; a power of two, so that
+/// no index of a pixel can leave it.
 const STRIDE: usize = 64;
-
-/// What the tests of a corner compare.
-type Patch = [u8; STRIDE * STRIDE];
 
 /// Points of the pattern, the first of every pair and then the second.
 const POINTS: usize = 2 * PATTERN.len();
 
 /// Directions that the pattern is kept in, 1.4° apart: more find no more true matches, half as many find a little less.
 const TURNS: usize = 256;
-
-const fn coordinates(axis: usize) -> [f32; POINTS] {
-    let mut coordinates = [0.0; POINTS];
-    let mut i = 0;
-    while i < PATTERN.len() {
-        coordinates[i] = PATTERN[i][axis] as f32;
-        coordinates[PATTERN.len() + i] = PATTERN[i][2 + axis] as f32;
-        i += 1;
-    }
-    coordinates
-}
-
-static X: [f32; POINTS] = coordinates(0);
-static Y: [f32; POINTS] = coordinates(1);
 
 /// Where the points of the pattern lie in a patch, for every direction.
 #[derive(Debug)]
@@ -69,16 +53,14 @@ impl TurnedPattern {
 
 /// Indices of the pattern's points in a patch, each turned by so many of [`TURNS`] and rounded.
 fn turned(turn: usize) -> [u16; POINTS] {
-    let (sin, cos) = angle_radians(turn).sin_cos();
+    let (sin, cos) = (turn as f32 * (TAU / TURNS as f32)).sin_cos();
     std::array::from_fn(|i| {
-        let dx = (cos * X[i] - sin * Y[i]).round_ties_even() as isize;
-        let dy = (sin * X[i] + cos * Y[i]).round_ties_even() as isize;
+        let [x1, y1, x2, y2] = PATTERN[i % PATTERN.len()].map(f32::from);
+        let (x, y) = if i < PATTERN.len() { (x1, y1) } else { (x2, y2) };
+        let dx = (cos * x - sin * y).round_ties_even() as isize;
+        let dy = (sin * x + cos * y).round_ties_even() as isize;
         (REACH_PX.wrapping_add_signed(dy) * STRIDE + REACH_PX.wrapping_add_signed(dx)) as u16
     })
-}
-
-fn angle_radians(turn: usize) -> f32 {
-    turn as f32 * (TAU / TURNS as f32)
 }
 
 /// The turn that is nearest to an angle.

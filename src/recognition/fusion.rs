@@ -13,7 +13,7 @@ use crate::place_map::{ExperienceId, PlaceId};
 
 /// Log odds that a place is right where no CNN takes part: offset, and weights of ln(1 + effective inliers), of there
 /// being any, and of what that logarithm is more than that of the best other place.
-const GEOMETRY: [f32; 4] = [-0.639, 2.046, -4.74, 1.157];
+const GEOMETRY: [f32; 4] = [-0.618, 2.05, -4.77, 1.113];
 
 /// Effective inliers of another place from which on a cosine that passes the card's threshold is not enough by itself.
 const VERIFIED: u32 = 8;
