@@ -2,17 +2,20 @@
 //!
 //! Images are made up: 1,000 words each, drawn as often as the vocabulary's training images showed them. Every place is
 //! shown by one of them, or by 20 that have half their words in common. A query shows half the words of an image, those
-//! that its place has in common, and must find the place. Images are added one by one, as a robot does.
+//! that its place has in common, and must find the place. Images are added one by one, as a robot does; more than
+//! 50,000 at once, as when a map is opened.
 
 use std::path::Path;
 use std::time::Instant;
 
-use loci::retrieval::{BowVector, InvertedIndex};
+use loci::retrieval::{BowVector, InvertedIndex, Retrieved};
 use loci::vocabulary::{Vocabulary, WordId};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
 const WORDS: usize = 1000;
+/// Most images that are added one by one.
+const ONE_BY_ONE: usize = 50_000;
 const QUERIES: usize = 200;
 /// Images of a place.
 const SHOWN: [usize; 2] = [1, 20];
@@ -27,7 +30,8 @@ fn main() {
     sizes.retain(|&size| size >= SHOWN[1]);
     let world = World::new();
     println!(
-        "| Images | Of a place | Postings | MB | Query, median, ms | 99 of 100, ms |\n|---:|---:|---:|---:|---:|---:|"
+        "| Images | Of a place | Postings | MB | Query, median, ms | 99 of 100, ms | Slowest addition, ms |\n\
+         |---:|---:|---:|---:|---:|---:|---:|"
     );
     for size in sizes {
         SHOWN.iter().for_each(|&shown| measure(size, shown, &world));
@@ -68,6 +72,12 @@ impl World {
     }
 }
 
+/// A query by a name of its own, so that `benches/instructions.py` finds it.
+#[inline(never)]
+fn ask(index: &mut InvertedIndex, bow: &BowVector) -> impl std::ops::Deref<Target = [Retrieved]> {
+    index.query(bow, |_| true)
+}
+
 /// Queries an index of so many images, so many `shown` of every place.
 fn measure(images: usize, shown: usize, world: &World) {
     let mut index = InvertedIndex::default();
@@ -77,8 +87,10 @@ fn measure(images: usize, shown: usize, world: &World) {
         postings += bow.entries().len();
         let started = Instant::now();
         index.add(&bow);
-        // Asked for nothing, it puts the image where it is found.
-        index.query(&BowVector::default(), |_| true);
+        if images <= ONE_BY_ONE || view + 1 == images {
+            // Asked for nothing, it puts the image where it is found.
+            index.query(&BowVector::default(), |_| true);
+        }
         slowest_ms = slowest_ms.max(started.elapsed().as_secs_f64() * 1e3);
     }
     let mut random = Pcg64::seed_from_u64(u64::MAX);
@@ -87,7 +99,7 @@ fn measure(images: usize, shown: usize, world: &World) {
             let place = random.random_range(0..images / shown);
             let bow = world.image(place, images + query);
             let started = Instant::now();
-            let found = index.query(&bow, |_| true);
+            let found = ask(&mut index, &bow);
             let ms = started.elapsed().as_secs_f64() * 1e3;
             assert_eq!(found[0].document.0 as usize / shown, place);
             ms

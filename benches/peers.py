@@ -3,10 +3,11 @@
     pip install opencv-python-headless
     python3 benches/peers.py [IMAGES...]
 
-Frames are 240 of a synthetic street, or the given images, brought to 640×480. Either looks at all of them once, and then
-five times, of which the median counts; that three times in turn. OpenCV's time includes the keypoints that Python gets.
-Quality: every frame is warped in a known way; features of both are matched (nearest both ways), and a match is true if it
-lies within 3 px of where the warp puts it. Correspondences to be verified are made up: 200, of which 60 or none are true.
+Frames are 240 of a synthetic street, or the given images, brought to 640×480. Either looks at all of them once, and
+then three times, of which the median counts; that five times in turn. "Faster by" is the median of the five ratios, for
+the machine's speed may change between two rounds. OpenCV's time includes the keypoints that Python gets. Quality: every
+frame is warped in a known way; features of both are matched (nearest both ways), and a match is true if it lies within
+3 px of where the warp puts it. Correspondences to be verified are made up: 200, of which 60 or none are true.
 """
 
 import subprocess
@@ -19,8 +20,8 @@ import cv2
 import numpy as np
 
 WIDTH, HEIGHT = 640, 480
-PASSES = 5
-ROUNDS = 3
+PASSES = 3
+ROUNDS = 5
 QUALITY_FRAMES = 24
 TRUE_WITHIN_PX = 3.0
 PAIRS_OF_IMAGES = 500
@@ -57,8 +58,9 @@ def median_ms(work, frames):
 
 
 def rounds(peer, ours):
-    """Medians of both, measured in turn."""
-    return np.median([(peer(), ours()) for _ in range(ROUNDS)], axis=0)
+    """Medians of both times, measured in turn, and of what one is to the other in a round."""
+    times = np.array([(peer(), ours()) for _ in range(ROUNDS)])
+    return *np.median(times, axis=0), np.median(times[:, 0] / times[:, 1], axis=0)
 
 
 def compare_stages(frames, folder):
@@ -76,12 +78,12 @@ def compare_stages(frames, folder):
         ("colour to grey", lambda frame: cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), frames),
         ("input of the CNN, 224×224", made_input, frames),
     ]
-    theirs, ours = rounds(
+    theirs, ours, ratios = rounds(
         lambda: [median_ms(work, items) for _, work, items in peers],
         lambda: [float(ms) for ms in loci("stages", file).split()],
     )
-    for (stage, _, _), their_ms, our_ms in zip(peers, theirs, ours):
-        print(f"| {stage} | {their_ms:.2f} | {our_ms:.2f} | {their_ms / our_ms:.1f} × |")
+    for (stage, _, _), their_ms, our_ms, ratio in zip(peers, theirs, ours, ratios):
+        print(f"| {stage} | {their_ms:.2f} | {our_ms:.2f} | {ratio:.1f} × |")
 
 
 def compare_verification(folder):
@@ -107,22 +109,24 @@ def compare_verification(folder):
                     inliers.append(0 if mask is None else int(mask.sum()))
                 return np.median(times), min(inliers), max(inliers)
 
-            peer, ours = rounds(
-                by_opencv, lambda: [float(word) for word in loci("verify", true, PAIRS_OF_IMAGES).split()]
-            )
-            told = [f"{us:.1f} | {least:.0f} to {most:.0f}" for us, least, most in (peer, ours)]
-            print(f"| {true} true | {name} | {told[0]} | {told[1]} | {peer[0] / ours[0]:.1f} × |")
+            def by_loci():
+                return [float(word) for word in loci("verify", true, PAIRS_OF_IMAGES).split()]
+
+            *times, ratio = rounds(lambda: by_opencv()[0], lambda: by_loci()[0])
+            inliers = [f"{least:.0f} to {most:.0f}" for _, least, most in (by_opencv(), by_loci())]
+            told = " | ".join(f"{us:.1f} | {found}" for us, found in zip(times, inliers))
+            print(f"| {true} true | {name} | {told} | {ratio:.1f} × |")
 
 
 def compare_orb(file, frames):
     print(f"| ORB of {len(frames)} frames | OpenCV, ms | Loci, ms | Loci is faster by |\n|---|---:|---:|---:|")
     for features in (500, 1000, 2000):
         orb = cv2.ORB_create(features)
-        peer, ours = rounds(
+        peer, ours, ratio = rounds(
             lambda: median_ms(lambda frame: orb.detectAndCompute(frame, None), frames),
             lambda: float(loci("orb", file, features)),
         )
-        print(f"| {features:,} features | {peer:.2f} | {ours:.2f} | {peer / ours:.1f} × |")
+        print(f"| {features:,} features | {peer:.2f} | {ours:.2f} | {ratio:.1f} × |")
 
 
 def warps():
@@ -177,8 +181,8 @@ def true_inliers(known, warped, matrix):
         return 0
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(descriptors, warped_descriptors)
     expected = points @ matrix[:, :2].T + matrix[:, 2]
-    near = [np.hypot(*(expected[match.queryIdx] - warped_points[match.trainIdx])) <= TRUE_WITHIN_PX for match in matches]
-    return sum(near)
+    apart_px = [np.hypot(*(expected[match.queryIdx] - warped_points[match.trainIdx])) for match in matches]
+    return sum(distance <= TRUE_WITHIN_PX for distance in apart_px)
 
 
 def compare_quality(frames, folder):

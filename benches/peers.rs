@@ -22,7 +22,7 @@ use loci::verification::{VerificationOptions, vote_and_verify};
 
 const SIZE_PX: (usize, usize) = (640, 480);
 /// How often all frames are looked at, once they were; the median counts.
-const PASSES: usize = 5;
+const PASSES: usize = 3;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();

@@ -23,8 +23,9 @@ fn frames(count: usize) -> Vec<Frame> {
 /// By a name of its own, so that `benches/instructions.py` finds it.
 #[inline(never)]
 fn bag_of_words(features: &Features, vocabulary: &Vocabulary) -> BowVector {
-    let words = features.descriptors.iter().map(|descriptor| vocabulary.quantise(descriptor).word);
-    BowVector::new(words, vocabulary)
+    let quantised = vocabulary.quantise_all(&features.descriptors);
+    let quantised = vocabulary.quantise_all(&features.descriptors);
+    BowVector::new(quantised.iter().map(|quantised| quantised.word), vocabulary)
 }
 
 fn stages(criterion: &mut Criterion) {

@@ -12,9 +12,9 @@ Maps are founded by the program itself, and other frames are looked at with them
 
 Of every frame count the right and the wrong place that the CNN holds for the likeliest, that geometry does, and that is
 farthest ahead of what else the CNN finds: between these a decision is made. Right and wrong weigh the same. Prints the
-[fusion] table of the card and the constant of src/recognition/fusion.rs, and what the BoW score would add on maps that were
-not fitted on; needs a quarter of an hour. Nothing else is looked at: none of the sequences on which figures are reported, but that the tower's floors are also asked about as strangers to
-each other.
+[fusion] table of the card and the constant of src/recognition/fusion.rs, and what the BoW score would add on maps that
+were not fitted on; needs a quarter of an hour. Nothing else is looked at: none of the sequences on which figures are
+reported, but that the tower's floors are also asked about as strangers to each other.
 """
 
 import argparse
@@ -128,7 +128,8 @@ def run(program, *arguments):
 
 
 def evidence(program, mapped, looked_at, is_same, folder):
-    """Of every frame, place by place: (cosine, margin, effective inliers, margin of ln(1 + inliers), ln of the BoW score, right)."""
+    """Of every frame, place by place: cosine and margin, effective inliers and margin of their ln(1 + n), ln of the BoW
+    score, and whether it is right."""
     place_map = folder / re.sub(r"\W", "_", str(mapped))
     if not place_map.exists():
         run(program, "run", mapped, "--map", place_map)

@@ -1,15 +1,10 @@
 //! A robot that drives for ever, in a process of its own: `make soak`. Its memory must stay flat, its map within its
 //! budget, and it must go on recognising.
 //!
-//! What the program holds is counted by glibc and does not depend on where its heap has holes. Private memory does: it
-//! goes up and down by a MiB from one moment to the next, and is therefore bounded, not followed.
-#![cfg(target_env = "gnu")]
-//!
-//! Frames are not rendered but made up as features: a world of places along a ring, each with features of its own,
-//! of which every look shows most, with some bits flipped, in changing light. Now and then the robot is carried
-//! elsewhere, and every place changes its looks over time, so that there is always something new to learn and
-//! something old to give up.
+//! What the program holds is counted by its allocator. What the heap takes for that is no measure of growth: it goes up
+//! and down by a MiB as the heap has holes; it is bounded.
 
+use std::alloc::System;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -22,6 +17,10 @@ use loci::recognition::{Decision, Look, Recogniser, RecognitionOptions};
 use loci::vocabulary::{Light, VocabularySet};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
+use stats_alloc::{INSTRUMENTED_SYSTEM, StatsAlloc};
+
+#[global_allocator]
+static HEAP: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
 const DEFAULT_FRAMES: u64 = 1_000_000;
 const PLACES: u64 = 300;
@@ -40,8 +39,8 @@ const SAMPLES: u64 = 20;
 const FRAMES_A_COUNT: u64 = 250;
 /// Growth of held memory that counts as flat, in KiB per 100,000 frames: a robot at 10 Hz gains 1.1 MiB a day at most.
 const FLAT_KIB: f64 = 128.0;
-/// Private memory that the heap may take for what is held: holes in it, and stacks and tables beside it.
-const MOST_PRIVATE: f64 = 2.5;
+/// Private memory that there may be for what is held: holes in the heap, what it keeps for later, stacks and tables.
+const MOST_PRIVATE: f64 = 4.0;
 /// Share of the frames since the last sample that must be recognised, in percent, once every place has been seen.
 const LEAST_RECOGNISED: f64 = 95.0;
 /// Frames in which the world is new to the robot: it is carried to every part of it.
@@ -95,22 +94,18 @@ struct Memory {
     frames: f64,
     /// What the program allocated and did not free.
     held_kib: f64,
-    /// What no file backs, once the heap gave back what it keeps for later.
+    /// What no file backs.
     private_kib: f64,
 }
 
 impl Memory {
-    #[expect(unsafe_code, reason = "glibc alone knows what its heap holds and which of its pages are free")]
     fn after(frames: u64) -> Self {
-        // SAFETY: it touches no memory that is in use, and any thread may call it.
-        unsafe { libc::malloc_trim(0) };
-        // SAFETY: it only reads the heap's books, under the heap's own locks.
-        let heap = unsafe { libc::mallinfo2() };
+        let heap = HEAP.stats();
         let rollup = std::fs::read_to_string("/proc/self/smaps_rollup").unwrap();
         let private = rollup.lines().find_map(|line| line.strip_prefix("Anonymous:")).unwrap();
         Self {
             frames: frames as f64,
-            held_kib: (heap.uordblks + heap.hblkhd) as f64 / 1024.0,
+            held_kib: (heap.bytes_allocated - heap.bytes_deallocated) as f64 / 1024.0,
             private_kib: private.split_whitespace().next().unwrap().parse().unwrap(),
         }
     }
@@ -203,6 +198,7 @@ impl Soak {
 #[ignore = "takes many minutes: `make soak`"]
 fn a_million_frames_leave_memory_flat_and_the_map_within_its_budget() {
     let frames: u64 = std::env::var("LOCI_SOAK_FRAMES").map_or(DEFAULT_FRAMES, |text| text.parse().unwrap());
+    assert!(frames >= 2 * LEARNING_FRAMES, "LOCI_SOAK_FRAMES is at least {}", 2 * LEARNING_FRAMES);
     let mut soak = Soak::new();
     println!(
         "| Frames | Held, MiB | Private memory, MiB | Folder, MiB | Places | merged | searched | Keyframes | \
@@ -228,6 +224,7 @@ fn a_million_frames_leave_memory_flat_and_the_map_within_its_budget() {
     println!("held in the second half: {kib_per_100_000:+.1} KiB per 100,000 frames");
     assert!(kib_per_100_000 < FLAT_KIB, "memory grows by {kib_per_100_000} KiB per 100,000 frames");
     let latest = &counts[counts.len() / 4 * 3..];
-    let private = mean(latest.iter().map(|count| count.private_kib / count.held_kib));
-    assert!(private < MOST_PRIVATE, "{private} KiB of private memory for each that is held");
+    let private_of_held = mean(latest.iter().map(|count| count.private_kib / count.held_kib));
+    println!("private memory in the last quarter: {private_of_held:.2} times what is held");
+    assert!(private_of_held < MOST_PRIVATE, "{private_of_held} times what is held");
 }

@@ -19,8 +19,8 @@ pub struct Blur {
 }
 
 impl Blur {
-    /// Makes `blurred` what `image` is when each pixel is the weighted mean of seven in its column, and then of seven in
-    /// its row; borders repeat the edge pixel. Every mean of two is rounded up to a whole grey value.
+    /// Makes `blurred` what `image` is when each pixel is the weighted mean of seven in its column, and then of seven
+    /// in its row; borders repeat the edge pixel. Every mean of two is rounded up to a whole grey value.
     pub fn blur_7x7(&mut self, image: &GreyImage, blurred: &mut GreyImage) {
         blurred.reshape(image.width(), image.height());
         self.between.resize(image.width() + 2 * RADIUS, 0);
@@ -125,7 +125,7 @@ mod tests {
     }
 
     fn mean_of_means([a, b, c, d, e, f, g]: [u16; 7]) -> u16 {
-        let two = |a, b| (a + b + 1) / 2;
+        let two = |a: u16, b: u16| (a + b).div_ceil(2);
         let three = |before, centre, behind| two(two(before, behind), centre);
         three(three(a, b, c), three(c, d, e), three(e, f, g))
     }

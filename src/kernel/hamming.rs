@@ -48,15 +48,24 @@ mod dispatch {
 
     #[inline]
     pub(super) fn nearest(string: &[u8; 32], others: &[[u8; 32]]) -> (u32, u32) {
-        if is_x86_feature_detected!("avx512vpopcntdq") && is_x86_feature_detected!("avx512vl") {
-            // SAFETY: the processor has it.
-            unsafe { nearest_vpopcnt(string, others) }
-        } else if is_x86_feature_detected!("popcnt") {
-            // SAFETY: the processor has it.
-            unsafe { nearest_popcnt(string, others) }
-        } else {
-            nearest_by_count_ones(string, others)
-        }
+        by_avx512(string, others)
+            .or_else(|| by_popcnt(string, others))
+            .unwrap_or_else(|| nearest_by_count_ones(string, others))
+    }
+
+    /// With the instructions of AVX-512 that count bits; `None` where the processor does not have them.
+    #[inline]
+    pub(super) fn by_avx512(string: &[u8; 32], others: &[[u8; 32]]) -> Option<(u32, u32)> {
+        let is_there = is_x86_feature_detected!("avx512vpopcntdq") && is_x86_feature_detected!("avx512vl");
+        // SAFETY: the processor has them.
+        is_there.then(|| unsafe { nearest_vpopcnt(string, others) })
+    }
+
+    /// With the plain one; `None` where the processor does not have it.
+    #[inline]
+    pub(super) fn by_popcnt(string: &[u8; 32], others: &[[u8; 32]]) -> Option<(u32, u32)> {
+        // SAFETY: the processor has it.
+        is_x86_feature_detected!("popcnt").then(|| unsafe { nearest_popcnt(string, others) })
     }
 }
 
@@ -94,6 +103,10 @@ mod tests {
             let expected = by_distance.map_or((0, u32::MAX), |(distance, index)| (index, distance));
             prop_assert_eq!(nearest(&string, &others), expected);
             prop_assert_eq!(nearest_by_count_ones(&string, &others), expected);
+            #[cfg(target_arch = "x86_64")]
+            for by_others in [dispatch::by_avx512(&string, &others), dispatch::by_popcnt(&string, &others)] {
+                prop_assert_eq!(by_others.unwrap_or(expected), expected);
+            }
         }
     }
 }

@@ -24,6 +24,17 @@ fn fetch<T>(item: &T) {
     unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(item).cast()) }
 }
 
-#[cfg(not(target_arch = "x86_64"))]
+#[cfg(target_arch = "aarch64")]
+#[inline]
+#[expect(unsafe_code, reason = "stable Rust has no intrinsic for it")]
+fn fetch<T>(item: &T) {
+    let address = std::ptr::from_ref(item);
+    // SAFETY: the instruction never faults and changes nothing but the caches.
+    unsafe {
+        std::arch::asm!("prfm pldl1keep, [{0}]", in(reg) address, options(nostack, preserves_flags, readonly));
+    }
+}
+
+#[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
 #[inline]
 fn fetch<T>(_: &T) {}

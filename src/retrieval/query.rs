@@ -9,6 +9,8 @@ use super::bow::WeighedWord;
 pub(super) struct Query {
     /// In rising order.
     words: Vec<WeighedWord>,
+    /// Weights and positions of the words, in an order that can be sorted by.
+    ranks: Vec<u64>,
     /// Positions of the words, those first that weigh most.
     rarest_first: Vec<u32>,
     /// Which share of the weight of all words those have that follow, by position in `rarest_first`; 0 at its end.
@@ -29,10 +31,11 @@ impl Query {
         self.inverse_length = inverse_length(bow);
         // Numbers that are not negative are in the order of their bits.
         let rank = |word: &WeighedWord| u64::from(!word.weight.to_bits());
-        let mut ranks: Vec<u64> = (0..).zip(&self.words).map(|(at, word)| rank(word) << 32 | at).collect();
-        ranks.sort_unstable();
+        self.ranks.clear();
+        self.ranks.extend((0..).zip(&self.words).map(|(at, word)| rank(word) << 32 | at));
+        self.ranks.sort_unstable();
         self.rarest_first.clear();
-        self.rarest_first.extend(ranks.iter().map(|&rank| rank as u32));
+        self.rarest_first.extend(self.ranks.iter().map(|&rank| rank as u32));
         self.left.clear();
         self.left.resize(self.words.len() + 1, 0.0);
         for (position, &word) in self.rarest_first.iter().enumerate().rev() {
