@@ -24,7 +24,6 @@ fn frames(count: usize) -> Vec<Frame> {
 #[inline(never)]
 fn bag_of_words(features: &Features, vocabulary: &Vocabulary) -> BowVector {
     let quantised = vocabulary.quantise_all(&features.descriptors);
-    let quantised = vocabulary.quantise_all(&features.descriptors);
     BowVector::new(quantised.iter().map(|quantised| quantised.word), vocabulary)
 }
 

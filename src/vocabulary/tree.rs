@@ -199,7 +199,9 @@ impl Vocabulary {
         for descriptors in descriptors.chunks(SIDE_BY_SIDE) {
             let descents = &mut [Descent::default(); SIDE_BY_SIDE][..descriptors.len()];
             for level in 0..=MAX_DEPTH {
-                descents.iter().for_each(|descent| descent.prefetch(tables));
+                if level >= NEAR_LEVELS {
+                    descents.iter().for_each(|descent| descent.prefetch(tables));
+                }
                 let mut is_over = true;
                 for (descent, descriptor) in descents.iter_mut().zip(descriptors) {
                     is_over &= descent.step(tables, descriptor, level);
@@ -248,6 +250,9 @@ impl Weights<'_> {
 /// Descents that go side by side: so many that memory answers the last before the first is asked again, and so few that
 /// what it brought is still near.
 const SIDE_BY_SIDE: usize = 64;
+
+/// So many levels from the root stay in the nearest cache by themselves, for all descents go through them.
+const NEAR_LEVELS: u32 = 2;
 
 /// A descriptor on its way down.
 #[derive(Clone, Copy, Default)]
