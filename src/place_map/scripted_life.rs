@@ -139,9 +139,12 @@ pub(super) fn live(folder: &FaultyFolder, durability: Durability, script: &[Step
         }
         match take_step(&mut life.map, folder, durability, (index as u64, step)) {
             Ok(()) => {
-                life.states.extend(life.map.as_ref().map(|map| facts_of(folder, map)));
-                // What is computed anew is no answer that somebody was given.
-                let is_answered = durability == Durability::Every && !matches!(step, Renew(_));
+                let known = life.map.as_ref().map(|map| facts_of(folder, map));
+                // What is computed anew is no answer that somebody was given, and waits for the next change; what is
+                // refused changes nothing.
+                let is_change = life.states.last() != known.as_ref() && !matches!(step, Renew(_));
+                let is_answered = durability == Durability::Every && is_change;
+                life.states.extend(known);
                 if is_answered || matches!(step, Sync | Close | Compact | Reopen) {
                     life.certain = index + 1;
                 }
