@@ -73,6 +73,13 @@ impl Features {
         self.keypoints.is_empty()
     }
 
+    /// Makes them those of a frame of no size, and keeps their memory.
+    pub fn clear(&mut self) {
+        self.keypoints.clear();
+        self.descriptors.clear();
+        (self.width_px, self.height_px) = (0, 0);
+    }
+
     /// The `count` features that stand for all of them best, in their order: of every pyramid level the same share,
     /// those first that the extractor chose first.
     #[must_use]

@@ -84,14 +84,18 @@ impl OrbExtractor {
     /// over it, half the strongest of the rest.
     #[must_use]
     pub fn extract(&mut self, frame: &GreyImage) -> Features {
-        let mut features = Features {
-            width_px: frame.width() as u32,
-            height_px: frame.height() as u32,
-            ..Features::default()
-        };
+        let mut features = Features::default();
+        self.extract_into(frame, &mut features);
+        features
+    }
+
+    /// Replaces `features` by those of `frame`, in the memory that they have.
+    pub fn extract_into(&mut self, frame: &GreyImage, features: &mut Features) {
         let most = self.options.max_features.min(frame.pixels().len());
+        features.clear();
         features.keypoints.reserve(most);
         features.descriptors.reserve(most);
+        (features.width_px, features.height_px) = (frame.width() as u32, frame.height() as u32);
         self.pyramid.build(frame, &self.options);
         for ((level, scale), &budget) in self.pyramid.levels(frame, &self.options).zip(&self.budgets) {
             self.detector.detect(level, &self.options, budget, &mut self.corners);
@@ -110,7 +114,6 @@ impl OrbExtractor {
                 response: corner.response,
             }));
         }
-        features
     }
 }
 
