@@ -52,6 +52,9 @@ pub(super) struct StreamSettings {
     /// ONNX Runtime library [default: looked for; `loci doctor` says where]
     #[arg(long, env = "LOCI_ONNXRUNTIME", value_name = "PATH")]
     pub(super) onnxruntime: Option<PathBuf>,
+    /// Where the robot was: TUM's lines of time and pose, or CSV of time, lat, lon; looked up at the time of every frame
+    #[arg(long, env = "LOCI_POSE", value_name = "FILE")]
+    pub(super) pose: Option<PathBuf>,
     /// Process every N-th frame [default: 1; of a camera or video about three a second]
     #[arg(long, env = "LOCI_SAMPLE_INTERVAL", value_name = "N")]
     pub(super) sample_interval: Option<NonZero<u32>>,
@@ -105,6 +108,7 @@ impl StreamSettings {
             vocab: if self.vocab.is_empty() { other.vocab } else { self.vocab },
             model: self.model.or(other.model),
             onnxruntime: self.onnxruntime.or(other.onnxruntime),
+            pose: self.pose.or(other.pose),
             sample_interval: self.sample_interval.or(other.sample_interval),
             place_interval: self.place_interval.or(other.place_interval),
             sequence: self.sequence.or(other.sequence),

@@ -32,7 +32,10 @@ pub(super) fn pipeline(
     let rerun = rerun_target(settings.rerun.as_deref())?;
     let (options, map_options) = (recognition_options(settings)?, map_options(settings)?);
     let sample_interval = settings.sample_interval.map(|interval| u64::from(interval.get()));
-    let source = source::open(source, sample_interval)?;
+    let mut source = source::open(source, sample_interval)?;
+    if let Some(poses) = &settings.pose {
+        source = Box::new(source::PosedSource::open(source, poses)?);
+    }
     let vocabularies = VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?;
     let (model, model_folder) = open_cnn(settings)?.unzip();
     let (map, unwritable) = open_map(settings, map_options, options.read_only)?;

@@ -7,11 +7,13 @@
 mod camera;
 mod codec;
 mod directory;
+mod poses;
 pub mod synthetic;
 mod video;
 
 pub use codec::{decode, jpeg, thumbnail_jpeg};
 pub use directory::{DirectorySource, image_files, is_image, sort_naturally};
+pub use poses::{PoseTrack, PosedSource};
 pub use video::{VideoSource, ffmpeg_version};
 
 use std::io;
@@ -53,6 +55,16 @@ pub enum SourceError {
     NoImages {
         /// The folder.
         path: PathBuf,
+    },
+    /// A file of poses makes no sense.
+    #[error("poses {}, line {line}: {reason}", path.display())]
+    BadPoses {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1 on.
+        line: usize,
+        /// What is wrong with it.
+        reason: String,
     },
     /// A video file could not be read, or not to its end.
     #[error("video {}: {reason}", path.display())]
