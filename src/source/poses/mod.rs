@@ -42,3 +42,42 @@ impl FrameSource for PosedSource {
         self.frames.frame_count()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Pose;
+
+    /// Three frames at 0, 1 and 2 s, the last of which knows its pose.
+    struct Frames(i64);
+
+    fn pose(x: f64) -> Pose {
+        Pose { position_metres: [x, 0.0, 0.0], orientation: [0.0, 0.0, 0.0, 1.0] }
+    }
+
+    impl FrameSource for Frames {
+        fn next_frame(&mut self) -> Option<Result<Frame, SourceError>> {
+            let second = self.0;
+            self.0 += 1;
+            let known = (second == 2).then(|| pose(99.0));
+            let capture_nanos = second * 1_000_000_000;
+            (second < 3).then(|| Ok(Frame { capture_nanos, pose: known, ..Frame::numbered(second as u64) }))
+        }
+
+        fn frame_count(&self) -> Option<u64> {
+            Some(3)
+        }
+    }
+
+    #[test]
+    fn frames_get_the_pose_of_their_time_unless_they_know_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("poses.txt");
+        std::fs::write(&path, "0.5 5 0 0 0 0 0 1\n2.5 25 0 0 0 0 0 1\n").unwrap();
+        let mut source = PosedSource::open(Box::new(Frames(0)), &path).unwrap();
+        assert_eq!(source.frame_count(), Some(3));
+        let poses: Vec<Option<Pose>> =
+            std::iter::from_fn(|| source.next_frame()).map(|frame| frame.unwrap().pose).collect();
+        assert_eq!(poses, [None, Some(pose(10.0)), Some(pose(99.0))]);
+    }
+}
