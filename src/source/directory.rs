@@ -1,4 +1,5 @@
-//! A folder of images in natural order: `2.jpg` before `10.jpg`.
+//! A folder of images in natural order: `2.jpg` before `10.jpg`. Where all of their names are times, as in many data
+//! sets, they were captured then.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +8,7 @@ use super::{FrameSource, SourceError, codec};
 use crate::frame::Frame;
 use crate::kernel::luma;
 
-/// Images carry no clock: they count as captured at this nominal interval, from time 0.
+/// Images whose names are no times count as captured at this nominal interval, from time 0.
 const NOMINAL_INTERVAL_NANOS: i64 = 100_000_000;
 const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
 
@@ -48,6 +49,8 @@ pub fn sort_naturally(paths: &mut [PathBuf]) {
 #[derive(Debug)]
 pub struct DirectorySource {
     paths: Vec<PathBuf>,
+    /// Times of capture in nanoseconds; none unless all names are times.
+    times_nanos: Vec<i64>,
     next: usize,
     sample_interval: usize,
 }
@@ -65,7 +68,14 @@ impl DirectorySource {
     /// Hands out the images at `paths`.
     #[must_use]
     pub fn of_files(paths: Vec<PathBuf>) -> Self {
-        Self { paths, next: 0, sample_interval: 1 }
+        let times_nanos = paths.iter().map_while(|path| named_nanos(path)).collect::<Vec<i64>>();
+        let are_times = times_nanos.len() == paths.len();
+        let times_nanos = if are_times { times_nanos } else { Vec::new() };
+        Self { paths, times_nanos, next: 0, sample_interval: 1 }
+    }
+
+    fn capture_nanos(&self, index: usize) -> i64 {
+        self.times_nanos.get(index).copied().unwrap_or(index as i64 * NOMINAL_INTERVAL_NANOS)
     }
 
     fn read(&self, index: usize) -> Result<Frame, SourceError> {
@@ -75,7 +85,7 @@ impl DirectorySource {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         Ok(Frame {
             index: index as u64,
-            capture_nanos: index as i64 * NOMINAL_INTERVAL_NANOS,
+            capture_nanos: self.capture_nanos(index),
             name,
             grey: luma(&colour),
             colour,
@@ -84,6 +94,25 @@ impl DirectorySource {
             true_place: None,
         })
     }
+}
+
+/// The time in nanoseconds since the epoch that a file is called by: seconds with a decimal point (TUM's RGB-D data),
+/// or whole milli-, micro- or nanoseconds (13, 16 or 19 digits: EuRoC, Oxford, others). `None` of any other name.
+fn named_nanos(path: &Path) -> Option<i64> {
+    let stem = path.file_stem()?.to_str()?;
+    let (whole, fraction) = stem.split_once('.').unwrap_or((stem, ""));
+    if [whole, fraction].iter().any(|digits| digits.bytes().any(|byte| !byte.is_ascii_digit())) {
+        return None;
+    }
+    let unit_nanos: i64 = match (whole.len(), fraction.len()) {
+        (9.., 1..) => 1_000_000_000,
+        (13, 0) => 1_000_000,
+        (16, 0) => 1_000,
+        (19, 0) => 1,
+        _ => return None,
+    };
+    let nanos = format!("{fraction:0<9}").get(..9)?.parse::<i64>().ok()?;
+    whole.parse::<i64>().ok()?.checked_mul(unit_nanos)?.checked_add(nanos)
 }
 
 impl FrameSource for DirectorySource {
@@ -125,6 +154,28 @@ mod tests {
         fs::create_dir(folder.path().join("3.jpg")).unwrap();
         assert_eq!(names(folder.path(), 1), ["1.jpeg", "2.JPG", "10.jpg"]);
         assert_eq!(names(folder.path(), 2), ["1.jpeg", "10.jpg"]);
+    }
+
+    #[test]
+    fn images_that_are_called_by_their_times_were_captured_then() {
+        let captured = |names: &[&str]| -> Vec<i64> {
+            let folder = folder_with(names);
+            let mut source = DirectorySource::open(folder.path(), 1).unwrap();
+            std::iter::from_fn(|| source.next_frame()).map(|frame| frame.unwrap().capture_nanos).collect()
+        };
+        let tum = ["1305031102.175304.jpg", "1305031102.2.jpg"];
+        assert_eq!(captured(&tum), [1_305_031_102_175_304_000, 1_305_031_102_200_000_000]);
+        let euroc = ["1403636579763555584.jpg", "1403636579813555456.jpg"];
+        assert_eq!(captured(&euroc), [1_403_636_579_763_555_584, 1_403_636_579_813_555_456]);
+        assert_eq!(captured(&["1403636579763555.jpg"]), [1_403_636_579_763_555_000]);
+        assert_eq!(captured(&["1403636579763.jpg"]), [1_403_636_579_763_000_000]);
+        for others in [
+            ["000.jpg", "1305031102.175304.jpg"],
+            ["9999999999999999999.jpg", "a.jpg"],
+            ["1.5.jpg", "2.5.jpg"],
+        ] {
+            assert_eq!(captured(&others), [0, NOMINAL_INTERVAL_NANOS], "{others:?}");
+        }
     }
 
     #[test]

@@ -47,6 +47,35 @@ fn a_second_lap_at_the_same_light_is_known() {
 }
 
 #[test]
+fn poses_of_a_file_are_stored_with_the_experiences_of_their_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let [images, map, poses] = ["images", "map", "poses.txt"].map(|name| folder.path().join(name));
+    std::fs::create_dir(&images).unwrap();
+    let mut street = source::open("synthetic:street?laps=1&frames=60&seed=21", None).unwrap();
+    for second in 0..3 {
+        let frame = street.next_frame().unwrap().unwrap();
+        std::fs::write(images.join(format!("10000000{second}0.5.jpg")), source::jpeg(&frame.colour)).unwrap();
+    }
+    // Of the third image nobody knows: the track ends before.
+    std::fs::write(
+        &poses,
+        "1000000000 1 2 3 0 0 0 1\n1000000001 3 2 3 0 0 0 1\n1000000010.5 9 9 9 0 0 0 1\n",
+    )
+    .unwrap();
+    let run = ["run", text(&images), "--map", text(&map), "--pose", text(&poses)];
+    let run = loci(&[&run[..], &["--model", "none"]].concat());
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let export = loci(&["map", "export", text(&map), "--out", "-"]);
+    let export: serde_json::Value = serde_json::from_str(&export.stdout).unwrap();
+    let x: Vec<_> = export["experiences"].as_array().unwrap().iter().map(|row| row["x"].as_f64()).collect();
+    assert_eq!(x, [Some(2.0), Some(9.0), None]);
+
+    std::fs::write(&poses, "1000000000 1 2 3 0 0 0 1\n1000000001 3 2\n").unwrap();
+    let run = loci(&["run", text(&images), "--pose", text(&poses)]);
+    run.assert_failed(1, &[text(&poses), "line 2", "eight numbers"]);
+}
+
+#[test]
 fn without_onnx_runtime_bow_and_hough_voting_go_on_alone_and_say_so() {
     let world = "synthetic:corridor?laps=2&light=noon&frames=60&seed=22";
     let run = loci_without_runtime(&["run", world, "--json"]);
