@@ -56,13 +56,18 @@ pub struct DirectorySource {
 }
 
 impl DirectorySource {
-    /// Hands out every `sample_interval`-th of the images of `folder`.
+    /// Hands out every `sample_interval`-th of the images of `folder`, in natural order, or that of the times by which
+    /// they are called.
     ///
     /// # Errors
     /// If the folder cannot be read or holds no images.
     pub fn open(folder: &Path, sample_interval: u64) -> Result<Self, SourceError> {
         let sample_interval = usize::try_from(sample_interval).unwrap_or(usize::MAX).max(1);
-        Ok(Self { sample_interval, ..Self::of_files(image_files(folder)?) })
+        let mut paths = image_files(folder)?;
+        if paths.iter().all(|path| named_nanos(path).is_some()) {
+            paths.sort_by_cached_key(|path| named_nanos(path));
+        }
+        Ok(Self { sample_interval, ..Self::of_files(paths) })
     }
 
     /// Hands out the images at `paths`.
