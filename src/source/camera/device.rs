@@ -113,7 +113,7 @@ fn chosen(wished: Option<PixelFormat>, offered: &[[u8; 4]]) -> Result<PixelForma
         PixelFormat::BY_PREFERENCE.into_iter().filter(is_offered).map(PixelFormat::name).collect();
     let offered = listed(offered);
     Err(match (wished, readable.as_slice()) {
-        (_, []) => format!("it offers only {offered}; use a camera with mjpg, yuyv or grey"),
+        (_, []) => format!("it offers only {offered}; use a camera with mjpg, yuyv, nv12 or grey"),
         (wished, readable) => {
             let wished = wished.map_or("the format", PixelFormat::name);
             format!(
@@ -159,13 +159,13 @@ fn range(given: &Format) -> Range {
 mod tests {
     use super::*;
 
-    const NV12: [u8; 4] = *b"NV12";
+    const UYVY: [u8; 4] = *b"UYVY";
     const YUYV: [u8; 4] = *b"YUYV";
     const MJPG: [u8; 4] = *b"MJPG";
 
     #[test]
     fn the_first_of_mjpg_yuyv_and_grey_is_taken_unless_one_is_wished() {
-        assert_eq!(chosen(None, &[NV12, YUYV, MJPG]), Ok(PixelFormat::Mjpg));
+        assert_eq!(chosen(None, &[UYVY, YUYV, MJPG]), Ok(PixelFormat::Mjpg));
         assert_eq!(chosen(None, &[*b"GREY", YUYV]), Ok(PixelFormat::Yuyv));
         assert_eq!(chosen(Some(PixelFormat::Yuyv), &[MJPG, YUYV]), Ok(PixelFormat::Yuyv));
     }
@@ -173,21 +173,21 @@ mod tests {
     #[test]
     fn a_format_that_is_not_offered_is_refused_with_those_that_are() {
         assert_eq!(
-            chosen(Some(PixelFormat::Grey), &[MJPG, NV12, YUYV]).unwrap_err(),
-            "it does not offer grey but mjpg, NV12, yuyv; ask for format=mjpg or format=yuyv"
+            chosen(Some(PixelFormat::Grey), &[MJPG, UYVY, YUYV]).unwrap_err(),
+            "it does not offer grey but mjpg, UYVY, yuyv; ask for format=mjpg or format=yuyv"
         );
         assert_eq!(
-            chosen(None, &[NV12, *b"Y16 ", [0, 0xFF, b'\n', 0]]).unwrap_err(),
-            "it offers only NV12, Y16, \\x00\\xff\\n\\x00; use a camera with mjpg, yuyv or grey"
+            chosen(None, &[UYVY, *b"Y16 ", [0, 0xFF, b'\n', 0]]).unwrap_err(),
+            "it offers only UYVY, Y16, \\x00\\xff\\n\\x00; use a camera with mjpg, yuyv, nv12 or grey"
         );
     }
 
     #[test]
     fn a_long_offer_is_cut_short_but_the_readable_ones_are_named() {
-        let offered = [[NV12; 8].as_slice(), &[YUYV]].concat();
+        let offered = [[UYVY; 8].as_slice(), &[YUYV]].concat();
         assert_eq!(
             chosen(Some(PixelFormat::Grey), &offered).unwrap_err(),
-            "it does not offer grey but NV12, NV12, NV12, NV12, NV12, NV12 and 3 more; ask for format=yuyv"
+            "it does not offer grey but UYVY, UYVY, UYVY, UYVY, UYVY, UYVY and 3 more; ask for format=yuyv"
         );
     }
 

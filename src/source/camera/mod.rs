@@ -41,7 +41,7 @@ pub(super) struct CameraSource {
 }
 
 impl CameraSource {
-    /// Opens the camera of `text`, `DEVICE?size=WxH&fps=N&format=mjpg|yuyv|grey`, and hands out every
+    /// Opens the camera of `text`, `DEVICE?size=WxH&fps=N&format=mjpg|yuyv|nv12|grey`, and hands out every
     /// `sample_interval`-th frame, by default about three a second. Where the driver gives another size or
     /// rate than asked for, that is what the frames have.
     ///
@@ -145,6 +145,7 @@ impl Developer {
                 (colour, None, Some(jpeg.to_vec()))
             }
             PixelFormat::Yuyv => (pixels::rgb_from_yuyv(bytes, layout, range).map_err(spoilt)?, None, None),
+            PixelFormat::Nv12 => (pixels::rgb_from_nv12(bytes, layout, range).map_err(spoilt)?, None, None),
             PixelFormat::Grey => {
                 let grey = pixels::grey_from_grey(bytes, layout).map_err(spoilt)?;
                 (RgbImage::from_grey(&grey), Some(grey), None)
@@ -223,6 +224,7 @@ mod tests {
             (PixelFormat::Mjpg, &jpeg[..jpeg.len() - 2], "the JPEG is cut off"),
             (PixelFormat::Mjpg, &[0; 50], "it is empty"),
             (PixelFormat::Yuyv, &[0; 2559], "the frame is cut off: 2559 of 2560 bytes arrived"),
+            (PixelFormat::Nv12, &[0; 1919], "the frame is cut off: 1919 of 1920 bytes arrived"),
             (PixelFormat::Grey, &[0; 1279], "the frame is cut off: 1279 of 1280 bytes arrived"),
         ];
         for (format, bytes, what) in cases {
@@ -240,7 +242,9 @@ mod tests {
         let frame = developer(PixelFormat::Grey).frame(&[77; 1280], &Metadata::default(), TAKEN).unwrap();
         assert_eq!((frame.grey.get(39, 31), frame.colour.row(31)[119]), (77, 77));
         assert!(frame.jpeg.is_none());
-        let frame = developer(PixelFormat::Yuyv).frame(&[128; 2560], &Metadata::default(), TAKEN).unwrap();
-        assert_eq!((frame.grey.get(39, 31), frame.colour.row(31)[119]), (130, 130));
+        for (format, bytes) in [(PixelFormat::Yuyv, &[128; 2560][..]), (PixelFormat::Nv12, &[128; 1920])] {
+            let frame = developer(format).frame(bytes, &Metadata::default(), TAKEN).unwrap();
+            assert_eq!((frame.grey.get(39, 31), frame.colour.row(31)[119]), (130, 130));
+        }
     }
 }

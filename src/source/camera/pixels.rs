@@ -1,7 +1,7 @@
-//! Raw camera buffers to images: YUYV and GREY, row by row, with the padding that drivers put behind a row.
+//! Raw camera buffers to images: YUYV, NV12 and GREY, row by row, with the padding that drivers put behind a row.
 //!
-//! The colour matrix is that of ITU-R BT.601, which V4L2 prescribes for YUYV unless the driver says
-//! otherwise: with E = 255 / 219 for luma and C = 255 / 224 for chroma in limited range (1 in full range),
+//! The colour matrix is that of ITU-R BT.601, which V4L2 prescribes for both colour formats unless the driver
+//! says otherwise: with E = 255 / 219 for luma and C = 255 / 224 for chroma in limited range (1 in full range),
 //! R = E (Y − Y₀) + 1.402 C (V − 128), B = E (Y − Y₀) + 1.772 C (U − 128),
 //! G = E (Y − Y₀) − 0.344136 C (U − 128) − 0.714136 C (V − 128), where Y₀ is 16 or 0.
 
@@ -16,6 +16,19 @@ pub(super) struct Layout {
     pub(super) height_px: usize,
     /// Bytes from the start of a row to that of the next; 0 where the driver does not say.
     pub(super) stride_bytes: usize,
+}
+
+impl Layout {
+    /// Bytes from row to row where a row has so many.
+    fn stride(self, row_bytes: usize) -> usize {
+        self.stride_bytes.max(row_bytes).max(1)
+    }
+
+    /// Bytes of all rows; the last one needs no padding.
+    fn needed_bytes(self, row_bytes: usize) -> usize {
+        let others = self.height_px.saturating_sub(1);
+        others.saturating_mul(self.stride(row_bytes)).saturating_add(row_bytes)
+    }
 }
 
 /// Which numbers stand for black and white.
@@ -43,6 +56,13 @@ const LIMITED: Matrix =
     Matrix { black: 16, luma: 76_309, red_v: 104_597, green_u: 25_675, green_v: 53_279, blue_u: 132_201 };
 
 impl Matrix {
+    fn of(range: Range) -> &'static Self {
+        match range {
+            Range::Full => &FULL,
+            Range::Limited => &LIMITED,
+        }
+    }
+
     #[inline]
     fn rgb(&self, y: u8, u: u8, v: u8) -> [u8; 3] {
         let luma = (i32::from(y) - self.black) * self.luma + (1 << 15);
@@ -58,10 +78,7 @@ impl Matrix {
 
 /// The colour image in a YUYV buffer; the error says how many bytes are missing.
 pub(super) fn rgb_from_yuyv(bytes: &[u8], layout: Layout, range: Range) -> Result<RgbImage, String> {
-    let matrix = match range {
-        Range::Full => &FULL,
-        Range::Limited => &LIMITED,
-    };
+    let matrix = Matrix::of(range);
     let rows = rows(bytes, layout, layout.width_px.div_ceil(2) * 4)?;
     let row_bytes = layout.width_px * 3;
     let mut pixels = Vec::with_capacity(row_bytes * layout.height_px);
@@ -78,6 +95,32 @@ pub(super) fn rgb_from_yuyv(bytes: &[u8], layout: Layout, range: Range) -> Resul
     image(RgbImage::from_pixels(layout.width_px, layout.height_px, pixels))
 }
 
+/// The colour image in an NV12 buffer, a plane of luma and then one of U and V for every square of four pixels; the
+/// error says how many bytes are missing.
+pub(super) fn rgb_from_nv12(bytes: &[u8], layout: Layout, range: Range) -> Result<RgbImage, String> {
+    let matrix = Matrix::of(range);
+    let of_chroma = Layout { height_px: layout.height_px.div_ceil(2), ..layout };
+    let even_width_px = layout.width_px.div_ceil(2) * 2;
+    let luma_bytes = layout.stride(even_width_px).saturating_mul(layout.height_px);
+    let needed = luma_bytes.saturating_add(of_chroma.needed_bytes(even_width_px));
+    if bytes.len() < needed {
+        return Err(cut_off(bytes.len(), needed));
+    }
+    let (luma, chroma) = bytes.split_at(luma_bytes);
+    let chroma_rows = rows(chroma, of_chroma, even_width_px)?.flat_map(|row| [row, row]);
+    let row_bytes = layout.width_px * 3;
+    let mut pixels = Vec::with_capacity(row_bytes * layout.height_px);
+    for (luma, chroma) in rows(luma, layout, even_width_px)?.zip(chroma_rows) {
+        let end = pixels.len() + row_bytes;
+        for (pair, uv) in luma.as_chunks::<2>().0.iter().zip(chroma.as_chunks::<2>().0) {
+            pixels.extend_from_slice(&matrix.rgb(pair[0], uv[0], uv[1]));
+            pixels.extend_from_slice(&matrix.rgb(pair[1], uv[0], uv[1]));
+        }
+        pixels.truncate(end);
+    }
+    image(RgbImage::from_pixels(layout.width_px, layout.height_px, pixels))
+}
+
 /// The grey image in a GREY buffer; the error says how many bytes are missing.
 pub(super) fn grey_from_grey(bytes: &[u8], layout: Layout) -> Result<GreyImage, String> {
     let pixels = rows(bytes, layout, layout.width_px)?.flatten().copied().collect();
@@ -86,13 +129,15 @@ pub(super) fn grey_from_grey(bytes: &[u8], layout: Layout) -> Result<GreyImage, 
 
 /// The rows of a buffer without the padding behind them.
 fn rows(bytes: &[u8], layout: Layout, row_bytes: usize) -> Result<impl Iterator<Item = &[u8]>, String> {
-    let stride = layout.stride_bytes.max(row_bytes).max(1);
-    // The last row needs no padding.
-    let needed = layout.height_px.saturating_sub(1).saturating_mul(stride).saturating_add(row_bytes);
+    let needed = layout.needed_bytes(row_bytes);
     if bytes.len() < needed {
-        return Err(format!("the frame is cut off: {} of {needed} bytes arrived", bytes.len()));
+        return Err(cut_off(bytes.len(), needed));
     }
-    Ok(bytes.chunks(stride).take(layout.height_px).map(move |row| &row[..row_bytes]))
+    Ok(bytes.chunks(layout.stride(row_bytes)).take(layout.height_px).map(move |row| &row[..row_bytes]))
+}
+
+fn cut_off(arrived: usize, needed: usize) -> String {
+    format!("the frame is cut off: {arrived} of {needed} bytes arrived")
 }
 
 fn image<T>(image: Option<T>) -> Result<T, String> {
@@ -180,6 +225,22 @@ mod tests {
         }
 
         #[test]
+        fn nv12_planes_are_found_behind_any_padding(
+            layout in layouts(),
+            bytes in prop::collection::vec(any::<u8>(), 18 * 49),
+        ) {
+            let image = rgb_from_nv12(&bytes, layout, Range::Limited).unwrap();
+            let stride = layout.stride_bytes;
+            let mut expected = Vec::new();
+            for (y, x) in (0..layout.height_px).flat_map(|y| (0..layout.width_px).map(move |x| (y, x))) {
+                let chroma = (layout.height_px + y / 2) * stride + x / 2 * 2;
+                expected.push(naive_rgb(bytes[y * stride + x], bytes[chroma], bytes[chroma + 1], Range::Limited));
+            }
+            prop_assert_eq!((image.width(), image.height()), (layout.width_px, layout.height_px));
+            prop_assert!(worst(&image, &expected) < 0.51);
+        }
+
+        #[test]
         fn grey_rows_are_found_behind_any_padding(
             layout in layouts(),
             bytes in prop::collection::vec(any::<u8>(), 12 * 49),
@@ -202,6 +263,11 @@ mod tests {
             let needed = (layout.height_px - 1) * layout.stride_bytes + layout.width_px;
             prop_assert!(grey_from_grey(&vec![0; needed], layout).is_ok());
             prop_assert!(grey_from_grey(&vec![0; needed - 1], layout).is_err());
+            let rows = layout.height_px + layout.height_px.div_ceil(2);
+            let needed = (rows - 1) * layout.stride_bytes + layout.width_px.div_ceil(2) * 2;
+            prop_assert!(rgb_from_nv12(&vec![0; needed], layout, Range::Full).is_ok());
+            let reason = rgb_from_nv12(&vec![0; needed - 1], layout, Range::Full).unwrap_err();
+            prop_assert!(reason.contains(&format!("{} of {needed} bytes", needed - 1)), "{}", reason);
         }
 
         #[test]
@@ -213,6 +279,7 @@ mod tests {
         ) {
             let layout = Layout { width_px, height_px, stride_bytes };
             let _ = rgb_from_yuyv(&bytes, layout, Range::Limited);
+            let _ = rgb_from_nv12(&bytes, layout, Range::Full);
             let _ = grey_from_grey(&bytes, layout);
         }
     }

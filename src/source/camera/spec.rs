@@ -14,19 +14,23 @@ pub(super) enum PixelFormat {
     Mjpg,
     /// Two pixels in four bytes: Y U Y V.
     Yuyv,
+    /// A plane of luma, and one of U and V at half the width and height: what cameras of boards with their own image
+    /// processor give.
+    Nv12,
     /// A byte of luma a pixel.
     Grey,
 }
 
 impl PixelFormat {
     /// Every format that is read, the best first: a JPEG costs the least bandwidth and is kept as it is.
-    pub(super) const BY_PREFERENCE: [Self; 3] = [Self::Mjpg, Self::Yuyv, Self::Grey];
+    pub(super) const BY_PREFERENCE: [Self; 4] = [Self::Mjpg, Self::Yuyv, Self::Nv12, Self::Grey];
 
     /// The name as written in a source.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Mjpg => "mjpg",
             Self::Yuyv => "yuyv",
+            Self::Nv12 => "nv12",
             Self::Grey => "grey",
         }
     }
@@ -36,6 +40,7 @@ impl PixelFormat {
         match self {
             Self::Mjpg => *b"MJPG",
             Self::Yuyv => *b"YUYV",
+            Self::Nv12 => *b"NV12",
             Self::Grey => *b"GREY",
         }
     }
@@ -91,7 +96,7 @@ impl CameraSpec {
             }
             "format" => {
                 let named = PixelFormat::BY_PREFERENCE.into_iter().find(|format| format.name() == value);
-                self.format = Some(named.ok_or_else(|| refused(key, value, "mjpg, yuyv or grey"))?);
+                self.format = Some(named.ok_or_else(|| refused(key, value, "mjpg, yuyv, nv12 or grey"))?);
             }
             _ => return Err(format!("there is no key '{key}'; allowed are size, fps, format")),
         }
@@ -151,7 +156,7 @@ mod tests {
         assert_eq!(reason("/dev/video0?sise=1x1"), "there is no key 'sise'; allowed are size, fps, format");
         assert_eq!(
             reason("/dev/video0?format=h264"),
-            "format=h264 is not allowed; format takes mjpg, yuyv or grey"
+            "format=h264 is not allowed; format takes mjpg, yuyv, nv12 or grey"
         );
         for fps in ["0", "-1", "29.97", "1001", ""] {
             assert_eq!(
