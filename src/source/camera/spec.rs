@@ -187,7 +187,7 @@ mod tests {
         for format in PixelFormat::BY_PREFERENCE {
             assert_eq!(PixelFormat::from_fourcc(format.fourcc()), Some(format));
         }
-        assert_eq!(PixelFormat::from_fourcc(*b"NV12"), None);
+        assert_eq!(PixelFormat::from_fourcc(*b"UYVY"), None);
     }
 
     proptest! {
