@@ -23,11 +23,27 @@ use crate::frame::Frame;
 
 /// A stream of frames.
 pub trait FrameSource: Send {
-    /// The next frame, an error about one frame that could not be read, or `None` at the end.
+    /// The next frame, an error about one frame that could not be read, or `None` at the end. A live source answers
+    /// within two seconds or so, with [`SourceError::NotYet`] if it has to.
     fn next_frame(&mut self) -> Option<Result<Frame, SourceError>>;
 
     /// How many calls of [`next_frame`](Self::next_frame) will answer, if that is known beforehand.
     fn frame_count(&self) -> Option<u64>;
+
+    /// Whether frames come when they come, as those of a camera do, so that whoever is slow misses some.
+    fn is_live(&self) -> bool {
+        false
+    }
+
+    /// What people should know and is no failure, told once: what a camera gives, that it is back.
+    fn take_notice(&mut self) -> Option<String> {
+        None
+    }
+
+    /// Frames that were lost so far before anybody could fetch them.
+    fn lost_frames(&self) -> u64 {
+        0
+    }
 }
 
 /// Why a source could not be opened, or one of its frames not be read.
@@ -82,6 +98,9 @@ pub enum SourceError {
         /// What is wrong with it, and what to do.
         reason: String,
     },
+    /// Nothing has come, which was told before; another call may have a frame.
+    #[error("no frame yet; wait")]
+    NotYet,
     /// An image could not be decoded.
     #[error("bad image {name}: {reason}")]
     BadImage {

@@ -41,6 +41,18 @@ impl FrameSource for PosedSource {
     fn frame_count(&self) -> Option<u64> {
         self.frames.frame_count()
     }
+
+    fn is_live(&self) -> bool {
+        self.frames.is_live()
+    }
+
+    fn take_notice(&mut self) -> Option<String> {
+        self.frames.take_notice()
+    }
+
+    fn lost_frames(&self) -> u64 {
+        self.frames.lost_frames()
+    }
 }
 
 #[cfg(test)]
