@@ -13,7 +13,7 @@ mod video;
 
 pub use codec::{decode, jpeg, thumbnail_jpeg};
 pub use directory::{DirectorySource, image_files, is_image, sort_naturally};
-pub use poses::{PoseTrack, PosedSource};
+pub use poses::{PoseAddress, PoseTrack, PosedSource};
 pub use video::{VideoSource, ffmpeg_version};
 
 use std::io;
@@ -26,6 +26,12 @@ pub trait FrameSource: Send {
     /// The next frame, an error about one frame that could not be read, or `None` at the end. A live source answers
     /// within two seconds or so, with [`SourceError::NotYet`] if it has to.
     fn next_frame(&mut self) -> Option<Result<Frame, SourceError>>;
+
+    /// The same; the frame may be made in the memory of `spare`, one that nobody needs any more.
+    fn next_frame_in(&mut self, spare: Option<Frame>) -> Option<Result<Frame, SourceError>> {
+        drop(spare);
+        self.next_frame()
+    }
 
     /// How many calls of [`next_frame`](Self::next_frame) will answer, if that is known beforehand.
     fn frame_count(&self) -> Option<u64>;
