@@ -78,8 +78,8 @@ pub(super) struct StreamSettings {
     /// Show it in rerun: off, spawn, connect=ADDR, serve[=ADDR] or save=FILE.rrd [default: off]
     #[arg(long, env = "LOCI_RERUN", value_name = "TARGET")]
     pub(super) rerun: Option<String>,
-    /// Processor time that all of it may take: a share of one core such as 50%, or cores such as 1.5. Frames of a camera
-    /// beyond that are left out, files are read more slowly [default: all there is]
+    /// Processor time that all of it may take: a share of one core such as 50%, or cores such as 1.5. Frames of a
+    /// camera beyond that are left out, files are read more slowly [default: all there is]
     #[arg(long, env = "LOCI_CPU_BUDGET", value_name = "CORES")]
     pub(super) cpu_budget: Option<CpuBudget>,
     /// Threads of the CNN [default: 1, or what the CPU budget leaves beside one core]

@@ -16,7 +16,7 @@ use crate::telemetry::{FrameRecord, RecognitionSink, TelemetryError};
 
 /// Records of a live stream that wait for a sink at most.
 const LIVE_RECORDS: usize = 8;
-/// How long the sinks of a live stream may take at its end, all together: longer than a viewer that still takes something.
+/// How long the sinks of a live stream may take at its end, all together: longer than a viewer that is slow may.
 const CLOSING: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 25 });
 
 /// Hands out records.

@@ -87,8 +87,8 @@ impl Poses {
 }
 
 impl PosedSource {
-    /// The frames of a source, with poses from `address`. A file has TUM's `time tx ty tz qx qy qz qw` (s, m), or CSV of
-    /// time, latitude and longitude (s, degrees); the same lines may be written to a socket.
+    /// The frames of a source, with poses from `address`. A file has TUM's `time tx ty tz qx qy qz qw` (s, m), or CSV
+    /// of time, latitude and longitude (s, degrees); the same lines may be written to a socket.
     ///
     /// # Errors
     /// If the file cannot be read or is neither, or the socket cannot be listened on. gpsd need not run yet.

@@ -77,8 +77,8 @@ pub(super) struct Columns {
 }
 
 impl Format {
-    /// The pose of a line and its time in nanoseconds; `None` of a comment, an empty line, and of the one that names the
-    /// columns.
+    /// The pose of a line and its time in nanoseconds; `None` of a comment, an empty line, and of the one that names
+    /// the columns.
     pub(super) fn pose_of(&mut self, line: &str) -> Result<Option<(i64, Pose)>, String> {
         if line.is_empty() || line.starts_with('#') { Ok(None) } else { self.pose(line) }
     }
