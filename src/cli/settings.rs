@@ -58,6 +58,9 @@ pub(super) struct StreamSettings {
     /// gpsd[:HOST[:PORT]], or unix:PATH, a socket to which such lines are written. Looked up at the time of every frame
     #[arg(long, env = "LOCI_POSE", value_name = "FROM")]
     pub(super) pose: Option<PoseAddress>,
+    /// Play a recording at this rate, as a camera would give it: whoever is slow misses frames
+    #[arg(long, env = "LOCI_PLAY_FPS", value_name = "FPS")]
+    pub(super) play_fps: Option<f64>,
     /// Process every N-th frame [default: 1; of a camera or video about three a second]
     #[arg(long, env = "LOCI_SAMPLE_INTERVAL", value_name = "N")]
     pub(super) sample_interval: Option<NonZero<u32>>,
@@ -116,6 +119,7 @@ impl StreamSettings {
             model: self.model.or(other.model),
             onnxruntime: self.onnxruntime.or(other.onnxruntime),
             pose: self.pose.or(other.pose),
+            play_fps: self.play_fps.or(other.play_fps),
             sample_interval: self.sample_interval.or(other.sample_interval),
             place_interval: self.place_interval.or(other.place_interval),
             sequence: self.sequence.or(other.sequence),

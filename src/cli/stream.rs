@@ -9,7 +9,7 @@ use loci::feature::{OrbExtractor, OrbOptions};
 use loci::pipeline::{CpuBudget, ModelFolder, Pipeline};
 use loci::place_map::{MapError, MapOptions, PlaceMap};
 use loci::recognition::{Recogniser, RecognitionOptions};
-use loci::source;
+use loci::source::{self, FrameSource};
 use loci::telemetry::RecognitionSink;
 use loci::vocabulary::VocabularySet;
 
@@ -42,6 +42,9 @@ pub(super) fn pipeline(
         }
         source = Box::new(source::PosedSource::open(source, poses)?);
     }
+    if let Some(fps) = settings.play_fps {
+        source = played(source, fps)?;
+    }
     let vocabularies = VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?;
     let (model, model_folder) = open_cnn(settings)?.unzip();
     let (map, unwritable) = open_map(settings, map_options, options.read_only)?;
@@ -59,6 +62,18 @@ pub(super) fn pipeline(
     let extractor = OrbExtractor::new(OrbOptions::default());
     let budget = settings.cpu_budget;
     Ok(Pipeline { source, extractor, model, model_folder, recogniser, sinks, budget })
+}
+
+/// A recording, played at this rate.
+fn played(source: Box<dyn FrameSource>, fps: f64) -> anyhow::Result<Box<dyn FrameSource>> {
+    if source.is_live() {
+        let reason = "--play-fps plays recordings; a camera has its own rate: v4l2:DEVICE?fps=30".to_owned();
+        return Err(WrongArgument(reason).into());
+    }
+    if !(0.01..=1000.0).contains(&fps) {
+        return Err(WrongArgument(format!("--play-fps {fps}: expected 0.01 to 1000 frames a second")).into());
+    }
+    Ok(Box::new(source::PacedSource::new(source, fps)))
 }
 
 /// The map of `settings`; where there is one but it is damaged or its folder cannot be written, for reading, with the

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use super::Watcher;
 use super::intake::{Captured, Entrance, Passage};
@@ -10,7 +10,7 @@ use super::pacing::Pace;
 use super::pool::Pool;
 use super::stages::micros;
 use crate::frame::Frame;
-use crate::source::{FrameSource, SourceError};
+use crate::source::{FrameSource, SourceError, wall_nanos};
 use crate::telemetry::Losses;
 
 /// Frames whose memory is kept: more than are under way where nobody is slow.
@@ -73,8 +73,7 @@ impl Capture<'_> {
         if !self.source.is_live() {
             return started;
         }
-        let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let age_nanos = i64::try_from(since_epoch.as_nanos()).unwrap_or(i64::MAX) - frame.capture_nanos;
+        let age_nanos = wall_nanos().saturating_sub(frame.capture_nanos);
         // Clocks that were set meanwhile tell nothing.
         let age = u64::try_from(age_nanos).ok().map(Duration::from_nanos).filter(|age| *age < OLDEST);
         let now = Instant::now();

@@ -7,17 +7,20 @@
 mod camera;
 mod codec;
 mod directory;
+mod paced;
 mod poses;
 pub mod synthetic;
 mod video;
 
 pub use codec::{decode, jpeg, thumbnail_jpeg};
 pub use directory::{DirectorySource, image_files, is_image, sort_naturally};
+pub use paced::PacedSource;
 pub use poses::{PoseAddress, PoseTrack, PosedSource};
 pub use video::{VideoSource, ffmpeg_version};
 
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::frame::Frame;
 
@@ -136,6 +139,12 @@ impl<'a> From<&'a str> for Address<'a> {
             _ => Self::Path(Path::new(text)),
         }
     }
+}
+
+/// The wall clock in nanoseconds since the Unix epoch.
+pub(crate) fn wall_nanos() -> i64 {
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since_epoch.as_nanos()).unwrap_or(i64::MAX)
 }
 
 /// Opens `source` (a folder, an image, a video file, `synthetic:…` or `v4l2:…`) and hands out every

@@ -1,12 +1,12 @@
 //! Poses that come while the robot drives. They are looked for whenever a frame has come, and never waited for.
 
 use std::collections::VecDeque;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::gpsd::Gpsd;
 use super::socket::PoseSocket;
 use super::track::between;
 use crate::frame::Pose;
+use crate::source::wall_nanos;
 
 /// Most poses that are kept: ten seconds at 200 Hz.
 const MOST_POSES: usize = 2000;
@@ -72,11 +72,6 @@ fn add(recent: &mut VecDeque<(i64, Pose)>, nanos: i64, pose: Pose) {
         recent.pop_front();
         recent.insert(position - 1, (nanos, pose));
     }
-}
-
-fn wall_nanos() -> i64 {
-    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    i64::try_from(since_epoch.as_nanos()).unwrap_or(i64::MAX)
 }
 
 #[cfg(test)]
