@@ -30,6 +30,12 @@ impl GreyImage {
         (self.width, self.height) = (width, height);
     }
 
+    /// Its memory, for another image.
+    #[must_use]
+    pub fn into_pixels(self) -> Vec<u8> {
+        self.pixels
+    }
+
     /// Width in pixels.
     #[must_use]
     pub fn width(&self) -> usize {
@@ -105,6 +111,12 @@ impl RgbImage {
     pub fn from_grey(grey: &GreyImage) -> Self {
         let pixels = grey.pixels().iter().flat_map(|&value| [value; 3]).collect();
         Self { width: grey.width, height: grey.height, pixels }
+    }
+
+    /// Its memory, for another image.
+    #[must_use]
+    pub fn into_pixels(self) -> Vec<u8> {
+        self.pixels
     }
 
     /// Width in pixels.

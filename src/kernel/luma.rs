@@ -6,9 +6,14 @@ use crate::raster::{GreyImage, RgbImage};
 /// Luma by ITU-R BT.601 in 8-bit fixed point: (77 R + 150 G + 29 B + 128) / 256.
 #[must_use]
 pub fn luma(image: &RgbImage) -> GreyImage {
-    let mut grey = GreyImage::new(image.width(), image.height());
-    weigh(image.pixels(), grey.pixels_mut());
-    grey
+    luma_in(image, Vec::new())
+}
+
+/// The same, in the memory of `spare`.
+pub(crate) fn luma_in(image: &RgbImage, mut spare: Vec<u8>) -> GreyImage {
+    spare.resize(image.width() * image.height(), 0);
+    weigh(image.pixels(), &mut spare);
+    GreyImage::from_pixels(image.width(), image.height(), spare).expect("as many pixels as the image has")
 }
 
 for_every_processor! {

@@ -23,6 +23,7 @@ pub use dispatch::instructions;
 pub use dot::dot;
 pub use hamming::{hamming, nearest};
 pub use luma::luma;
+pub(crate) use luma::luma_in;
 pub use prefetch::prefetch;
 pub use resize::Resizer;
 pub use segment::{corner_scores, local_maxima};

@@ -49,10 +49,15 @@ pub(super) fn is_jpeg(bytes: &[u8]) -> bool {
 /// If the bytes are neither, are cut off or damaged, or the image is smaller than 32 or larger than
 /// 8,192 pixels a side.
 pub fn decode(bytes: &[u8], name: &str) -> Result<RgbImage, SourceError> {
+    decode_in(bytes, name, Vec::new())
+}
+
+/// The same; of a JPEG the pixels are made in the memory of `spare`.
+pub(super) fn decode_in(bytes: &[u8], name: &str, spare: Vec<u8>) -> Result<RgbImage, SourceError> {
     let decoded = if bytes.is_empty() {
         Err("the file is empty; copy it again or remove it".to_owned())
     } else if is_jpeg(bytes) {
-        decode_jpeg(bytes)
+        decode_jpeg(bytes, spare)
     } else if bytes.starts_with(b"\x89PNG") {
         decode_png(bytes).map_err(|error| format!("{error}; copy it again or remove it"))
     } else {
@@ -61,7 +66,7 @@ pub fn decode(bytes: &[u8], name: &str) -> Result<RgbImage, SourceError> {
     decoded.map_err(|reason| SourceError::BadImage { name: name.to_owned(), reason })
 }
 
-fn decode_jpeg(bytes: &[u8]) -> Result<RgbImage, String> {
+fn decode_jpeg(bytes: &[u8], mut pixels: Vec<u8>) -> Result<RgbImage, String> {
     if !has_end_of_image(bytes) {
         return Err("the JPEG is cut off; copy it again or remove it".to_owned());
     }
@@ -76,7 +81,9 @@ fn decode_jpeg(bytes: &[u8]) -> Result<RgbImage, String> {
     decoder.decode_headers().map_err(damaged)?;
     let (width, height) = decoder.dimensions().ok_or("the JPEG has no size; remove it")?;
     check_size(width, height)?;
-    let pixels = decoder.decode().map_err(damaged)?;
+    // As long as the decoder says, which fits the size checked above.
+    pixels.resize(decoder.output_buffer_size().unwrap_or_default(), 0);
+    decoder.decode_into(&mut pixels).map_err(damaged)?;
     RgbImage::from_pixels(width, height, pixels).ok_or_else(|| "the JPEG is not RGB; convert it".to_owned())
 }
 

@@ -1,13 +1,14 @@
 //! Frames from a driver's buffers, read where they lie.
 
+use std::fmt::Write;
+
 use v4l::buffer::{Flags, Metadata};
 
 use super::device::Delivery;
 use super::pixels;
 use super::spec::PixelFormat;
 use crate::frame::Frame;
-use crate::kernel::luma;
-use crate::raster::RgbImage;
+use crate::kernel::luma_in;
 use crate::source::{SourceError, codec};
 
 /// Makes frames of buffers.
@@ -24,33 +25,56 @@ impl Developer {
         &self,
         bytes: &[u8],
         metadata: &Metadata,
-        taken: (u64, i64),
+        (index, capture_nanos): (u64, i64),
+        spare: Option<Frame>,
     ) -> Result<Frame, String> {
-        let (index, capture_nanos) = taken;
-        let name = format!("{}#{index:06}", self.device);
+        let Spare { mut name, colour, grey, jpeg: mut kept } = Spare::of(spare);
+        name.clear();
+        // Writing to a text does not fail.
+        let _ = write!(name, "{}#{index:06}", self.device);
         let spoilt = |reason| format!("frame {index}: {reason}; try another cable or USB port");
         if metadata.flags.contains(Flags::ERROR) {
             return Err(spoilt("the driver says that it is damaged".to_owned()));
         }
         let Delivery { format, layout, range, .. } = self.delivery;
-        let (colour, grey, jpeg) = match format {
-            PixelFormat::Mjpg => {
-                let jpeg = without_padding(bytes);
-                if jpeg.is_empty() {
-                    return Err(spoilt("it is empty".to_owned()));
-                }
-                let colour = codec::decode(jpeg, &name).map_err(|error| spoilt(what_is_wrong(error)))?;
-                (colour, None, Some(jpeg.to_vec()))
-            }
-            PixelFormat::Yuyv => (pixels::rgb_from_yuyv(bytes, layout, range).map_err(spoilt)?, None, None),
-            PixelFormat::Nv12 => (pixels::rgb_from_nv12(bytes, layout, range).map_err(spoilt)?, None, None),
-            PixelFormat::Grey => {
-                let grey = pixels::grey_from_grey(bytes, layout).map_err(spoilt)?;
-                (RgbImage::from_grey(&grey), Some(grey), None)
-            }
+        let jpeg = without_padding(bytes);
+        let colour = match format {
+            PixelFormat::Mjpg if jpeg.is_empty() => Err("it is empty".to_owned()),
+            PixelFormat::Mjpg => codec::decode_in(jpeg, &name, colour).map_err(what_is_wrong),
+            PixelFormat::Yuyv => pixels::rgb_from_yuyv(bytes, layout, range, colour),
+            PixelFormat::Nv12 => pixels::rgb_from_nv12(bytes, layout, range, colour),
+            PixelFormat::Grey => pixels::rgb_from_grey(bytes, layout, colour),
         };
-        let grey = grey.unwrap_or_else(|| luma(&colour));
+        let colour = colour.map_err(spoilt)?;
+        let grey = luma_in(&colour, grey);
+        let jpeg = (format == PixelFormat::Mjpg).then(|| {
+            kept.clear();
+            kept.extend_from_slice(jpeg);
+            kept
+        });
         Ok(Frame { index, capture_nanos, name, colour, grey, jpeg, pose: None, true_place: None })
+    }
+}
+
+/// Memory for a frame.
+#[derive(Default)]
+struct Spare {
+    name: String,
+    colour: Vec<u8>,
+    grey: Vec<u8>,
+    jpeg: Vec<u8>,
+}
+
+impl Spare {
+    /// That of a frame which nobody needs any more, if there is one.
+    fn of(frame: Option<Frame>) -> Self {
+        let memory = |Frame { name, colour, grey, jpeg, .. }: Frame| Self {
+            name,
+            colour: colour.into_pixels(),
+            grey: grey.into_pixels(),
+            jpeg: jpeg.unwrap_or_default(),
+        };
+        frame.map(memory).unwrap_or_default()
     }
 }
 
@@ -71,6 +95,7 @@ fn what_is_wrong(error: SourceError) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::raster::RgbImage;
     use crate::source::camera::pixels::{Layout, Range};
 
     const TAKEN: (u64, i64) = (123, 456);
@@ -85,16 +110,36 @@ mod tests {
     fn a_padded_mjpg_frame_becomes_a_frame_with_its_jpeg() {
         let jpeg = codec::jpeg(&RgbImage::new(40, 32));
         let padded = [jpeg.as_slice(), &[0; 100]].concat();
-        let frame = developer(PixelFormat::Mjpg).frame(&padded, &Metadata::default(), TAKEN).unwrap();
+        let frame = developer(PixelFormat::Mjpg).frame(&padded, &Metadata::default(), TAKEN, None).unwrap();
         assert_eq!(frame.jpeg, Some(jpeg));
         assert_eq!((frame.index, frame.capture_nanos, frame.name.as_str()), (123, 456, "/dev/video0#000123"));
         assert_eq!((frame.colour.width(), frame.grey.height()), (40, 32));
     }
 
     #[test]
+    fn a_frame_is_the_same_in_the_memory_of_another_one() {
+        let jpeg = codec::jpeg(&RgbImage::new(40, 32));
+        let raw = [90; 2560];
+        let formats = [
+            (PixelFormat::Mjpg, jpeg.as_slice()),
+            (PixelFormat::Yuyv, &raw[..]),
+            (PixelFormat::Nv12, &raw[..1920]),
+            (PixelFormat::Grey, &raw[..1280]),
+        ];
+        let other = Frame { jpeg: Some(vec![1; 9]), name: "other".to_owned(), ..Frame::numbered(7) };
+        for (format, bytes) in formats {
+            let frame = |spare| {
+                let frame = developer(format).frame(bytes, &Metadata::default(), TAKEN, spare).unwrap();
+                (frame.name, frame.colour, frame.grey, frame.jpeg)
+            };
+            assert_eq!(frame(Some(other.clone())), frame(None));
+        }
+    }
+
+    #[test]
     fn a_jpeg_of_another_size_than_agreed_is_taken_as_it_is() {
         let jpeg = codec::jpeg(&RgbImage::new(64, 48));
-        let frame = developer(PixelFormat::Mjpg).frame(&jpeg, &Metadata::default(), TAKEN).unwrap();
+        let frame = developer(PixelFormat::Mjpg).frame(&jpeg, &Metadata::default(), TAKEN, None).unwrap();
         assert_eq!((frame.colour.width(), frame.grey.height()), (64, 48));
     }
 
@@ -109,22 +154,23 @@ mod tests {
             (PixelFormat::Grey, &[0; 1279], "the frame is cut off: 1279 of 1280 bytes arrived"),
         ];
         for (format, bytes, what) in cases {
-            let error = developer(format).frame(bytes, &Metadata::default(), TAKEN).unwrap_err();
+            let error = developer(format).frame(bytes, &Metadata::default(), TAKEN, None).unwrap_err();
             let expected = format!("frame 123: {what}; try another cable or USB port");
             assert_eq!(error, expected);
         }
         let damaged = Metadata { flags: Flags::ERROR, ..Metadata::default() };
-        let error = developer(PixelFormat::Grey).frame(&[0; 1280], &damaged, TAKEN).unwrap_err();
+        let error = developer(PixelFormat::Grey).frame(&[0; 1280], &damaged, TAKEN, None).unwrap_err();
         assert!(error.contains("frame 123: the driver says that it is damaged"), "{error}");
     }
 
     #[test]
     fn raw_frames_have_the_luma_of_the_camera() {
-        let frame = developer(PixelFormat::Grey).frame(&[77; 1280], &Metadata::default(), TAKEN).unwrap();
+        let frame =
+            developer(PixelFormat::Grey).frame(&[77; 1280], &Metadata::default(), TAKEN, None).unwrap();
         assert_eq!((frame.grey.get(39, 31), frame.colour.row(31)[119]), (77, 77));
         assert!(frame.jpeg.is_none());
         for (format, bytes) in [(PixelFormat::Yuyv, &[128; 2560][..]), (PixelFormat::Nv12, &[128; 1920])] {
-            let frame = developer(format).frame(bytes, &Metadata::default(), TAKEN).unwrap();
+            let frame = developer(format).frame(bytes, &Metadata::default(), TAKEN, None).unwrap();
             assert_eq!((frame.grey.get(39, 31), frame.colour.row(31)[119]), (130, 130));
         }
     }

@@ -32,7 +32,7 @@ use self::outage::Outage;
 use self::search::{Identity, Search};
 use self::spec::CameraSpec;
 use self::timing::{CaptureClock, Sampling};
-use super::{FrameSource, SourceError};
+use super::{FrameSource, SourceError, wall_nanos};
 use crate::frame::Frame;
 
 /// Damaged frames in a row after which the camera is opened anew.
@@ -127,13 +127,13 @@ impl<D: Driver> CameraSource<D> {
     }
 
     /// The next frame that is due; those before it are dropped as they are.
-    fn due_frame(&mut self) -> Result<Frame, SourceError> {
+    fn due_frame(&mut self, spare: Option<Frame>) -> Result<Frame, SourceError> {
         let answer_by = Instant::now() + self.times.answer;
         let mut camera = match self.open.take() {
             Some(camera) => camera,
             None => self.awaited(answer_by)?,
         };
-        match self.read(&mut camera, answer_by) {
+        match self.read(&mut camera, answer_by, spare) {
             Ok(frame) => {
                 self.damaged = 0;
                 self.open = Some(camera);
@@ -148,17 +148,22 @@ impl<D: Driver> CameraSource<D> {
         }
     }
 
-    fn read(&mut self, camera: &mut OpenCamera<D::Stream>, answer_by: Instant) -> Result<Frame, Fault> {
+    fn read(
+        &mut self,
+        camera: &mut OpenCamera<D::Stream>,
+        answer_by: Instant,
+        spare: Option<Frame>,
+    ) -> Result<Frame, Fault> {
         let patience = self.patience(camera.developer.delivery.fps);
         loop {
             let (bytes, metadata) = camera.stream.next(Instant::now() + patience).map_err(Fault::Stream)?;
-            let arrival_nanos = timing::wall_nanos();
+            let arrival_nanos = wall_nanos();
             self.welcome(&mut camera.greeting);
             let index = self.sampling.index(metadata.sequence);
             let capture_nanos = self.clock.capture_nanos(timing::stamp_nanos(&metadata), arrival_nanos);
             if self.sampling.is_due(index) {
                 let taken = (index, capture_nanos);
-                return camera.developer.frame(bytes, &metadata, taken).map_err(Fault::Frame);
+                return camera.developer.frame(bytes, &metadata, taken, spare).map_err(Fault::Frame);
             }
             if Instant::now() >= answer_by {
                 return Err(Fault::NotYet);
@@ -298,7 +303,11 @@ impl<D: Driver> CameraSource<D> {
 
 impl<D: Driver> FrameSource for CameraSource<D> {
     fn next_frame(&mut self) -> Option<Result<Frame, SourceError>> {
-        Some(self.due_frame())
+        self.next_frame_in(None)
+    }
+
+    fn next_frame_in(&mut self, spare: Option<Frame>) -> Option<Result<Frame, SourceError>> {
+        Some(self.due_frame(spare))
     }
 
     fn frame_count(&self) -> Option<u64> {

@@ -5,7 +5,7 @@
 //! R = E (Y − Y₀) + 1.402 C (V − 128), B = E (Y − Y₀) + 1.772 C (U − 128),
 //! G = E (Y − Y₀) − 0.344136 C (U − 128) − 0.714136 C (V − 128), where Y₀ is 16 or 0.
 
-use crate::raster::{GreyImage, RgbImage};
+use crate::raster::RgbImage;
 
 /// Where the pixels of a frame lie in its buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,12 +76,18 @@ impl Matrix {
     }
 }
 
-/// The colour image in a YUYV buffer; the error says how many bytes are missing.
-pub(super) fn rgb_from_yuyv(bytes: &[u8], layout: Layout, range: Range) -> Result<RgbImage, String> {
+/// The colour image in a YUYV buffer; the error says how many bytes are missing. Its
+/// pixels are made in the memory of `spare`.
+pub(super) fn rgb_from_yuyv(
+    bytes: &[u8],
+    layout: Layout,
+    range: Range,
+    spare: Vec<u8>,
+) -> Result<RgbImage, String> {
     let matrix = Matrix::of(range);
     let rows = rows(bytes, layout, layout.width_px.div_ceil(2) * 4)?;
     let row_bytes = layout.width_px * 3;
-    let mut pixels = Vec::with_capacity(row_bytes * layout.height_px);
+    let mut pixels = cleared(spare, row_bytes * layout.height_px);
     for row in rows {
         let end = pixels.len() + row_bytes;
         for pair in row.chunks_exact(4) {
@@ -97,7 +103,12 @@ pub(super) fn rgb_from_yuyv(bytes: &[u8], layout: Layout, range: Range) -> Resul
 
 /// The colour image in an NV12 buffer, a plane of luma and then one of U and V for every square of four pixels; the
 /// error says how many bytes are missing.
-pub(super) fn rgb_from_nv12(bytes: &[u8], layout: Layout, range: Range) -> Result<RgbImage, String> {
+pub(super) fn rgb_from_nv12(
+    bytes: &[u8],
+    layout: Layout,
+    range: Range,
+    spare: Vec<u8>,
+) -> Result<RgbImage, String> {
     let matrix = Matrix::of(range);
     let of_chroma = Layout { height_px: layout.height_px.div_ceil(2), ..layout };
     let even_width_px = layout.width_px.div_ceil(2) * 2;
@@ -109,7 +120,7 @@ pub(super) fn rgb_from_nv12(bytes: &[u8], layout: Layout, range: Range) -> Resul
     let (luma, chroma) = bytes.split_at(luma_bytes);
     let chroma_rows = rows(chroma, of_chroma, even_width_px)?.flat_map(|row| [row, row]);
     let row_bytes = layout.width_px * 3;
-    let mut pixels = Vec::with_capacity(row_bytes * layout.height_px);
+    let mut pixels = cleared(spare, row_bytes * layout.height_px);
     for (luma, chroma) in rows(luma, layout, even_width_px)?.zip(chroma_rows) {
         let end = pixels.len() + row_bytes;
         for (pair, uv) in luma.as_chunks::<2>().0.iter().zip(chroma.as_chunks::<2>().0) {
@@ -121,10 +132,20 @@ pub(super) fn rgb_from_nv12(bytes: &[u8], layout: Layout, range: Range) -> Resul
     image(RgbImage::from_pixels(layout.width_px, layout.height_px, pixels))
 }
 
-/// The grey image in a GREY buffer; the error says how many bytes are missing.
-pub(super) fn grey_from_grey(bytes: &[u8], layout: Layout) -> Result<GreyImage, String> {
-    let pixels = rows(bytes, layout, layout.width_px)?.flatten().copied().collect();
-    image(GreyImage::from_pixels(layout.width_px, layout.height_px, pixels))
+/// The colour image in a GREY buffer, whose channels are all alike; the error says how many bytes are missing. Its pixels
+/// are made in the memory of `spare`.
+pub(super) fn rgb_from_grey(bytes: &[u8], layout: Layout, spare: Vec<u8>) -> Result<RgbImage, String> {
+    let rows = rows(bytes, layout, layout.width_px)?;
+    let mut pixels = cleared(spare, layout.width_px * layout.height_px * 3);
+    rows.for_each(|row| pixels.extend(row.iter().flat_map(|&grey| [grey; 3])));
+    image(RgbImage::from_pixels(layout.width_px, layout.height_px, pixels))
+}
+
+/// The memory of `spare`, with room for so many bytes.
+fn cleared(mut spare: Vec<u8>, bytes: usize) -> Vec<u8> {
+    spare.clear();
+    spare.reserve(bytes);
+    spare
 }
 
 /// The rows of a buffer without the padding behind them.
@@ -180,7 +201,7 @@ mod tests {
 
     fn one_pair(yuyv: [u8; 4], range: Range) -> Vec<u8> {
         let layout = Layout { width_px: 2, height_px: 1, stride_bytes: 4 };
-        rgb_from_yuyv(&yuyv, layout, range).unwrap().pixels().to_vec()
+        rgb_from_yuyv(&yuyv, layout, range, vec![9; 5]).unwrap().pixels().to_vec()
     }
 
     #[test]
@@ -198,7 +219,7 @@ mod tests {
             for y in 0..=255 {
                 for (u, v) in (0..=255).step_by(5).flat_map(|u| (0..=255).step_by(3).map(move |v| (u, v))) {
                     let layout = Layout { width_px: 1, height_px: 1, stride_bytes: 0 };
-                    let image = rgb_from_yuyv(&[y, u, 0, v], layout, range).unwrap();
+                    let image = rgb_from_yuyv(&[y, u, 0, v], layout, range, vec![9; 5]).unwrap();
                     assert!(worst(&image, &[naive_rgb(y, u, v, range)]) < 0.51, "{y} {u} {v}");
                 }
             }
@@ -219,7 +240,7 @@ mod tests {
             layout in layouts(),
             bytes in prop::collection::vec(any::<u8>(), 12 * 49),
         ) {
-            let image = rgb_from_yuyv(&bytes, layout, Range::Full).unwrap();
+            let image = rgb_from_yuyv(&bytes, layout, Range::Full, vec![9; 5]).unwrap();
             prop_assert_eq!((image.width(), image.height()), (layout.width_px, layout.height_px));
             prop_assert!(worst(&image, &naive_image(&bytes, layout, Range::Full)) < 0.51);
         }
@@ -229,7 +250,7 @@ mod tests {
             layout in layouts(),
             bytes in prop::collection::vec(any::<u8>(), 18 * 49),
         ) {
-            let image = rgb_from_nv12(&bytes, layout, Range::Limited).unwrap();
+            let image = rgb_from_nv12(&bytes, layout, Range::Limited, vec![9; 5]).unwrap();
             let stride = layout.stride_bytes;
             let mut expected = Vec::new();
             for (y, x) in (0..layout.height_px).flat_map(|y| (0..layout.width_px).map(move |x| (y, x))) {
@@ -245,10 +266,11 @@ mod tests {
             layout in layouts(),
             bytes in prop::collection::vec(any::<u8>(), 12 * 49),
         ) {
-            let image = grey_from_grey(&bytes, layout).unwrap();
+            let image = rgb_from_grey(&bytes, layout, vec![9; 5]).unwrap();
             for y in 0..layout.height_px {
                 for x in 0..layout.width_px {
-                    prop_assert_eq!(image.get(x, y), bytes[y * layout.stride_bytes + x]);
+                    let grey = bytes[y * layout.stride_bytes + x];
+                    prop_assert_eq!(&image.row(y)[3 * x..][..3], &[grey; 3]);
                 }
             }
         }
@@ -256,17 +278,17 @@ mod tests {
         #[test]
         fn a_buffer_one_byte_short_is_refused_and_one_of_exact_length_is_not(layout in layouts()) {
             let needed = (layout.height_px - 1) * layout.stride_bytes + layout.width_px.div_ceil(2) * 4;
-            prop_assert!(rgb_from_yuyv(&vec![0; needed], layout, Range::Full).is_ok());
-            let reason = rgb_from_yuyv(&vec![0; needed - 1], layout, Range::Full).unwrap_err();
+            prop_assert!(rgb_from_yuyv(&vec![0; needed], layout, Range::Full, vec![9; 5]).is_ok());
+            let reason = rgb_from_yuyv(&vec![0; needed - 1], layout, Range::Full, vec![9; 5]).unwrap_err();
             let expected = format!("the frame is cut off: {} of {needed} bytes arrived", needed - 1);
             prop_assert_eq!(reason, expected);
             let needed = (layout.height_px - 1) * layout.stride_bytes + layout.width_px;
-            prop_assert!(grey_from_grey(&vec![0; needed], layout).is_ok());
-            prop_assert!(grey_from_grey(&vec![0; needed - 1], layout).is_err());
+            prop_assert!(rgb_from_grey(&vec![0; needed], layout, vec![9; 5]).is_ok());
+            prop_assert!(rgb_from_grey(&vec![0; needed - 1], layout, vec![9; 5]).is_err());
             let rows = layout.height_px + layout.height_px.div_ceil(2);
             let needed = (rows - 1) * layout.stride_bytes + layout.width_px.div_ceil(2) * 2;
-            prop_assert!(rgb_from_nv12(&vec![0; needed], layout, Range::Full).is_ok());
-            let reason = rgb_from_nv12(&vec![0; needed - 1], layout, Range::Full).unwrap_err();
+            prop_assert!(rgb_from_nv12(&vec![0; needed], layout, Range::Full, vec![9; 5]).is_ok());
+            let reason = rgb_from_nv12(&vec![0; needed - 1], layout, Range::Full, vec![9; 5]).unwrap_err();
             prop_assert!(reason.contains(&format!("{} of {needed} bytes", needed - 1)), "{}", reason);
         }
 
@@ -278,9 +300,9 @@ mod tests {
             bytes in prop::collection::vec(any::<u8>(), 0..64),
         ) {
             let layout = Layout { width_px, height_px, stride_bytes };
-            let _ = rgb_from_yuyv(&bytes, layout, Range::Limited);
-            let _ = rgb_from_nv12(&bytes, layout, Range::Full);
-            let _ = grey_from_grey(&bytes, layout);
+            let _ = rgb_from_yuyv(&bytes, layout, Range::Limited, vec![9; 5]);
+            let _ = rgb_from_nv12(&bytes, layout, Range::Full, vec![9; 5]);
+            let _ = rgb_from_grey(&bytes, layout, vec![9; 5]);
         }
     }
 }

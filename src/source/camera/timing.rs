@@ -3,8 +3,6 @@
 //! A driver numbers the frames that its sensor took, so a gap is a frame that nobody fetched in time. It
 //! stamps them with the monotonic clock, which counts from the computer's start.
 
-use std::time::{SystemTime, UNIX_EPOCH};
-
 use v4l::buffer::{Flags, Metadata};
 
 /// Frames a second that are handed out unless another interval is asked for.
@@ -106,12 +104,6 @@ pub(super) fn stamp_nanos(metadata: &Metadata) -> Option<i64> {
     let is_monotonic = metadata.flags & Flags::TIMESTAMP_MASK == Flags::TIMESTAMP_MONOTONIC;
     let micros = metadata.timestamp.sec.checked_mul(1_000_000)?.checked_add(metadata.timestamp.usec)?;
     micros.checked_mul(1000).filter(|nanos| is_monotonic && *nanos > 0)
-}
-
-/// The wall clock in nanoseconds since the Unix epoch.
-pub(super) fn wall_nanos() -> i64 {
-    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    i64::try_from(since_epoch.as_nanos()).unwrap_or(i64::MAX)
 }
 
 #[cfg(test)]
