@@ -1,9 +1,9 @@
 //! A camera through V4L2: `v4l2:/dev/video0?size=640x480&fps=30&format=mjpg&exposure=100`.
 //!
-//! A robot is not stopped by its camera. What goes wrong with one frame is told and the next call goes on; a camera that
-//! keeps silent is opened anew; one that is gone is looked for until it is there again, under another number perhaps. Each
-//! trouble is told once, and so is its end. Frames are awaited for two seconds at most, and a camera that is away for one,
-//! so whoever asks soon hears.
+//! A robot is not stopped by its camera. What goes wrong with one frame is told and the next call goes on; a camera
+//! that keeps silent is opened anew; one that is gone is looked for until it is there again, under another number
+//! perhaps. Each trouble is told once, and so is its end. A frame is awaited for two seconds, and a camera that is away
+//! for one, so whoever asks soon hears.
 
 mod controls;
 mod developer;

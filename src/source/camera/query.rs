@@ -1,5 +1,6 @@
-//! What drivers are asked past the V4L2 library, which panics at names and kinds of controls that it does not know: who a
-//! camera is, and which plain controls it has. The compound kinds, such as the rectangles of newer kernels, are passed over.
+//! What drivers are asked past the V4L2 library, which panics at names and kinds of controls that it does not know: who
+//! a camera is, and which plain controls it has. The compound kinds, such as the rectangles of newer kernels, are passed
+//! over.
 #![expect(unsafe_code, reason = "a driver fills in C structures; this is the one place that hands it any")]
 
 use std::{io, ptr};
