@@ -223,8 +223,8 @@ impl<D: Driver> CameraSource<D> {
         Ok(OpenCamera { stream, developer, greeting })
     }
 
-    /// Says that a frame is damaged; where many are, or the format is not the one that was agreed on, the camera is opened
-    /// anew.
+    /// Says that a frame is damaged; where many are, or the format is not the one that was agreed on, the camera is
+    /// opened anew.
     fn is_damaged(&mut self, camera: OpenCamera<D::Stream>, reason: String) -> SourceError {
         self.damaged += 1;
         let has_changed = camera.stream.has_changed(&camera.developer.delivery);
@@ -236,8 +236,8 @@ impl<D: Driver> CameraSource<D> {
         self.error(if has_changed { CHANGED.to_owned() } else { reason })
     }
 
-    /// Says what went wrong with the stream, unless that was said. The stream is opened anew, the camera if that does not
-    /// help.
+    /// Says what went wrong with the stream, unless that was said. The stream is opened anew, and the camera if that
+    /// does not help.
     fn failed(&mut self, camera: OpenCamera<D::Stream>, error: &io::Error) -> SourceError {
         self.sampling.restart();
         // A signal to the program is no fault of the camera, but may be meant to end it.
