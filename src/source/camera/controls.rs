@@ -1,6 +1,6 @@
 //! Controls of a camera: found by name, checked, set in an order that works, and read back.
 //!
-//! Their names are those of `v4l2-ctl`: what the driver writes as "Exposure Time, Absolute" is `exposure_time_absolute`.
+//! Their names are those of `v4l2-ctl`: what drivers call "Exposure Time, Absolute" is `exposure_time_absolute`.
 
 use v4l::control::{self, Flags, Type};
 use v4l::{Device, control::Value};

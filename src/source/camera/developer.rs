@@ -19,8 +19,8 @@ pub(super) struct Developer {
 }
 
 impl Developer {
-    /// The frame in `bytes`, with its number and time of capture; the error is the reason without the device. A JPEG has
-    /// the size that it says, whatever was agreed on.
+    /// The frame in `bytes`, with its number and time of capture; the error is the reason without the device. A JPEG
+    /// has the size that it says, whatever was agreed on.
     pub(super) fn frame(
         &self,
         bytes: &[u8],

@@ -114,8 +114,8 @@ pub struct ControlItem {
     pub name: String,
 }
 
-/// The cameras of this computer, by the numbers of their nodes; an error for a node that does not say whether it is one.
-/// Nodes that are none, such as those for metadata, are left out.
+/// The cameras of this computer, by the numbers of their nodes; an error for a node that does not say whether it is
+/// one. Nodes that are none, such as those for metadata, are left out.
 #[must_use]
 pub fn cameras() -> Vec<Result<Camera, SourceError>> {
     search::paths().iter().filter_map(|path| listed(path).transpose()).collect()

@@ -1,9 +1,9 @@
 //! A camera through V4L2: `v4l2:/dev/video0?size=640x480&fps=30&format=mjpg&exposure=100`.
 //!
-//! A robot is not stopped by its camera. What goes wrong with one frame is told and the next call goes on; a camera that
-//! keeps silent is opened anew; one that is gone is looked for until it is there again, under another number perhaps. Each
-//! trouble is told once, and so is its end. Frames are awaited for two seconds at most, and a camera that is away for one,
-//! so whoever asks soon hears.
+//! A robot is not stopped by its camera. What goes wrong with one frame is told and the next call goes on; a camera
+//! that keeps silent is opened anew; one that is gone is looked for until it is there again, under another number
+//! perhaps. Each trouble is told once, and so is its end. A frame is awaited for two seconds, and a camera that is away
+//! for one, so whoever asks soon hears.
 
 mod controls;
 mod developer;
@@ -228,8 +228,8 @@ impl<D: Driver> CameraSource<D> {
         Ok(OpenCamera { stream, developer, greeting })
     }
 
-    /// Says that a frame is damaged; where many are, or the format is not the one that was agreed on, the camera is opened
-    /// anew.
+    /// Says that a frame is damaged; where many are, or the format is not the one that was agreed on, the camera is
+    /// opened anew.
     fn is_damaged(&mut self, camera: OpenCamera<D::Stream>, reason: String) -> SourceError {
         self.damaged += 1;
         let has_changed = camera.stream.has_changed(&camera.developer.delivery);
@@ -241,8 +241,8 @@ impl<D: Driver> CameraSource<D> {
         self.error(if has_changed { CHANGED.to_owned() } else { reason })
     }
 
-    /// Says what went wrong with the stream, unless that was said. The stream is opened anew, the camera if that does not
-    /// help.
+    /// Says what went wrong with the stream, unless that was said. The stream is opened anew, and the camera if that
+    /// does not help.
     fn failed(&mut self, camera: OpenCamera<D::Stream>, error: &io::Error) -> SourceError {
         self.sampling.restart();
         // A signal to the program is no fault of the camera, but may be meant to end it.

@@ -1,5 +1,5 @@
-//! What drivers are asked past the V4L2 library, which panics at names and kinds of controls that it does not know: who a
-//! camera is, and which plain controls it has. The compound kinds, such as the rectangles of newer kernels, are passed over.
+//! What drivers are asked past the V4L2 library, which panics at names and kinds of controls that it does not know: who
+//! a camera is, and which plain controls it has. Compound kinds, such as the rectangles of newer kernels, are left out.
 #![expect(unsafe_code, reason = "a driver fills in C structures; this is the one place that hands it any")]
 
 use std::{io, ptr};
@@ -22,8 +22,8 @@ trait Question: Copy {
     const REQUEST: vidioc::_IOC_TYPE;
 
     fn asked_of(mut self, device: &Device) -> io::Result<Self> {
-        // SAFETY: for this request the driver reads and writes one structure of this type, which is whole and ours; all of
-        // its fields are numbers, so whatever is written there is valid.
+        // SAFETY: for this request the driver reads and writes one structure of this type, which is whole and ours; all
+        // of its fields are numbers, so whatever is written there is valid.
         unsafe { v4l2::ioctl(device.handle().fd(), Self::REQUEST, ptr::from_mut(&mut self).cast()) }?;
         Ok(self)
     }
@@ -173,7 +173,7 @@ fn menu(device: &Device, control: &v4l2_query_ext_ctrl, kind: Type) -> Vec<(i64,
     (control.minimum..=last).filter_map(item).collect()
 }
 
-/// The text up to the zero byte. It may come from the device itself, so nothing that would steer a terminal is left in it.
+/// The text up to the zero byte. It may come from the device itself, so nothing that would steer a terminal is left.
 fn text<const N: usize>(bytes: [u8; N]) -> String {
     let length = bytes.iter().position(|byte| *byte == 0).unwrap_or(N);
     String::from_utf8_lossy(&bytes[..length]).replace(char::is_control, "?").trim().to_owned()

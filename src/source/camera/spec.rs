@@ -292,7 +292,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_text_can_break_the_reading(text in "\\PC{0,40}", query in "(size|fps|format|gain|on|&|=|x|-|[0-9]|a|ü){0,12}") {
+        fn no_text_can_break_the_reading(
+            text in "\\PC{0,40}",
+            query in "(size|fps|format|gain|on|&|=|x|-|[0-9]|a|ü){0,12}",
+        ) {
             let _ = CameraSpec::parse(&text);
             let _ = CameraSpec::parse(&format!("/dev/video0?{query}"));
         }
