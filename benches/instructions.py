@@ -22,7 +22,7 @@ BENCHES = (
         "stages::bag_of_words",
     )),
     ("growth", ("1000",), ("growth::ask",)),
-    ("verification", (), ("loci::verification::verify::vote_and_verify",)),
+    ("verification", (), ("loci::verification::verify::Verifier::vote_and_verify",)),
 )
 CALL = re.compile(r"calls=(\d+)")
 NAME = re.compile(r"c?fn=\((\d+)\)(?: (.*))?")

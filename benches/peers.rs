@@ -18,7 +18,7 @@ use loci::feature::{Features, OrbExtractor, OrbOptions};
 use loci::kernel;
 use loci::raster::GreyImage;
 use loci::source;
-use loci::verification::{VerificationOptions, vote_and_verify};
+use loci::verification::{Verification, VerificationOptions, Verifier};
 
 const SIZE_PX: (usize, usize) = (640, 480);
 /// How often all frames are looked at, once they were; the median counts.
@@ -121,10 +121,11 @@ fn pairs(out: &str, moved: usize, count: u64) -> Result<(), Box<dyn Error>> {
 fn verify(moved: usize, count: u64) -> Result<(), Box<dyn Error>> {
     let options = VerificationOptions::default();
     let (mut inliers, mut times_us) = (Vec::new(), Vec::new());
+    let (mut verifier, mut found) = (Verifier::default(), Verification::default());
     for seed in 0..count {
-        let pairs = made_up::correspondences(moved, seed);
+        found.correspondences = made_up::correspondences(moved, seed);
         let started = Instant::now();
-        let found = vote_and_verify(pairs, [made_up::DIAGONAL_PX; 2], &options);
+        verifier.vote_and_verify([made_up::DIAGONAL_PX; 2], &options, &mut found);
         times_us.push(started.elapsed().as_secs_f64() * 1e6);
         inliers.push(found.inliers.len());
     }

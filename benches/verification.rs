@@ -5,7 +5,7 @@ mod made_up;
 
 use std::time::Instant;
 
-use loci::verification::{VerificationOptions, vote_and_verify};
+use loci::verification::{Verification, VerificationOptions, Verifier};
 
 const PAIRS_OF_IMAGES: u64 = 2000;
 
@@ -17,10 +17,11 @@ fn main() {
 
 fn measure(moved: usize) {
     let (mut inliers, mut effective, mut times_us) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut verifier, mut found) = (Verifier::default(), Verification::default());
     for seed in 0..PAIRS_OF_IMAGES {
-        let pairs = made_up::correspondences(moved, seed);
+        found.correspondences = made_up::correspondences(moved, seed);
         let started = Instant::now();
-        let found = vote_and_verify(pairs, [made_up::DIAGONAL_PX; 2], &VerificationOptions::default());
+        verifier.vote_and_verify([made_up::DIAGONAL_PX; 2], &VerificationOptions::default(), &mut found);
         times_us.push(started.elapsed().as_secs_f64() * 1e6);
         inliers.push(found.inliers.len());
         effective.push(found.effective_inliers);

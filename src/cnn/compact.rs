@@ -24,12 +24,16 @@ pub struct CompactDescriptor {
 
 impl From<&Descriptor> for CompactDescriptor {
     fn from(descriptor: &Descriptor) -> Self {
-        let greatest =
-            descriptor.as_slice().iter().fold(0.0_f32, |greatest, value| greatest.max(value.abs()));
-        // A unit vector has a greatest value above zero.
-        let rounded = descriptor.as_slice().iter().map(|value| (value / greatest * STEPS).round() as i8);
-        Self::of_length_one(rounded.collect())
+        Self::of_length_one(rounded(descriptor).collect())
     }
+}
+
+/// The values as shares of the greatest one.
+fn rounded(descriptor: &Descriptor) -> impl Iterator<Item = i8> {
+    let values = descriptor.as_slice();
+    let greatest = values.iter().fold(0.0_f32, |greatest, value| greatest.max(value.abs()));
+    // A unit vector has a greatest value above zero.
+    values.iter().map(move |value| (value / greatest * STEPS).round() as i8)
 }
 
 impl CompactDescriptor {
@@ -41,8 +45,18 @@ impl CompactDescriptor {
     }
 
     fn of_length_one(values: Arc<[i8]>) -> Self {
-        let squared: i64 = values.iter().map(|&value| i64::from(value).pow(2)).sum();
-        Self { step: (squared as f64).sqrt().recip() as f32, values }
+        Self { step: step(&values), values }
+    }
+
+    /// From now on that of `descriptor`, in the same memory if it has as many values and nobody shares it.
+    pub fn set(&mut self, descriptor: &Descriptor) {
+        match Arc::get_mut(&mut self.values) {
+            Some(values) if values.len() == descriptor.dimensions() => {
+                values.iter_mut().zip(rounded(descriptor)).for_each(|(value, rounded)| *value = rounded);
+                self.step = step(values);
+            }
+            _ => *self = descriptor.into(),
+        }
     }
 
     /// The values in steps.
@@ -63,6 +77,12 @@ impl CompactDescriptor {
     }
 }
 
+/// What a step of the values stands for where they have length 1 together.
+fn step(values: &[i8]) -> f32 {
+    let squared: i64 = values.iter().map(|&value| i64::from(value).pow(2)).sum();
+    (squared as f64).sqrt().recip() as f32
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -80,6 +100,9 @@ mod tests {
                 return Ok(());
             };
             let rounded = CompactDescriptor::from(&a).cosine(&CompactDescriptor::from(&b));
+            let mut in_memory_of_another = CompactDescriptor::from(&b);
+            in_memory_of_another.set(&a);
+            prop_assert_eq!(in_memory_of_another, CompactDescriptor::from(&a));
             prop_assert!((rounded - a.cosine(&b)).abs() < 0.005, "{} {}", rounded, a.cosine(&b));
         }
     }

@@ -24,6 +24,12 @@ impl Descriptor {
         Some(Self(values.into_boxed_slice()))
     }
 
+    /// Its values, or rather their memory: for the next descriptor.
+    #[must_use]
+    pub fn into_values(self) -> Vec<f32> {
+        self.0.into_vec()
+    }
+
     /// Number of values.
     #[must_use]
     pub fn dimensions(&self) -> usize {

@@ -4,14 +4,18 @@
 //! anything before a library is loaded. So this module remembers what it loaded, and a [`Network`] can only
 //! be made from a [`Library`].
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use ort::environment::Environment;
 use ort::logging::LogLevel;
-use ort::session::Session;
+use ort::memory::Allocator;
 use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};
-use ort::value::{Outlet, TensorElementType, TensorRef, ValueType};
+use ort::session::{HasSelectedOutputs, OutputSelector, RunOptions, Session};
+#[cfg(feature = "train")]
+use ort::value::TensorRef;
+use ort::value::{Outlet, Tensor, TensorElementType, ValueType};
 use sha2::{Digest, Sha256};
 
 use super::error::{CnnError, one_line};
@@ -105,16 +109,22 @@ impl Network {
         outputs.into_iter().map(|(_, output)| copied(output).map_err(words)).collect()
     }
 
-    /// Runs the network on one tensor and copies one output.
-    pub(super) fn run(
-        &mut self,
-        input: (&str, [usize; 4], &[f32]),
-        output: &str,
-    ) -> Result<Vec<f32>, String> {
-        self.run_shaped(input, output).map(|(_, values)| values)
+    /// The network with memory for its one input and for one of its outputs, of these shapes.
+    pub(super) fn prepared(
+        self,
+        input_shape: [usize; 4],
+        (output, output_shape): (&str, [usize; 2]),
+    ) -> Result<PreparedNetwork, String> {
+        let words = |error: ort::Error| one_line(&error.to_string());
+        let input = Tensor::new(&Allocator::default(), input_shape).map_err(words)?;
+        let answer = Tensor::<f32>::new(&Allocator::default(), output_shape).map_err(words)?;
+        let outputs = OutputSelector::no_default().with(output).preallocate(output, answer);
+        let options = RunOptions::new().map_err(words)?.with_outputs(outputs);
+        Ok(PreparedNetwork { session: self.session, input, options })
     }
 
     /// Runs the network on one tensor and copies one output with its shape.
+    #[cfg(feature = "train")]
     pub(super) fn run_shaped(
         &mut self,
         input: (&str, [usize; 4], &[f32]),
@@ -127,6 +137,38 @@ impl Network {
         let output = outputs.get(output).ok_or_else(|| format!("no output `{output}`"))?;
         let (shape, values) = output.try_extract_tensor::<f32>().map_err(words)?;
         Ok((shape.to_vec(), values.to_vec()))
+    }
+}
+
+/// A network that writes every answer into the same memory, so that `ort` asks for none when it runs.
+pub(super) struct PreparedNetwork {
+    session: Session,
+    input: Tensor<f32>,
+    /// They say which output is wanted, and hold its memory.
+    options: RunOptions<HasSelectedOutputs>,
+}
+
+impl fmt::Debug for PreparedNetwork {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.debug_struct("PreparedNetwork").field("session", &self.session).finish_non_exhaustive()
+    }
+}
+
+impl PreparedNetwork {
+    /// What the network is run on next, to be written over.
+    pub(super) fn input(&mut self) -> &mut [f32] {
+        self.input.extract_tensor_mut().1
+    }
+
+    /// Runs the network on its input and writes its answer over what is in `answer`.
+    pub(super) fn run(&mut self, answer: &mut Vec<f32>) -> Result<(), String> {
+        let words = |error: ort::Error| one_line(&error.to_string());
+        let Self { session, input, options } = self;
+        let outputs = session.run_with_options(ort::inputs![&*input], options).map_err(words)?;
+        let (_, values) = outputs[0].try_extract_tensor::<f32>().map_err(words)?;
+        answer.clear();
+        answer.extend_from_slice(values);
+        Ok(())
     }
 }
 

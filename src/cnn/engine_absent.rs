@@ -39,7 +39,21 @@ impl Network {
         Vec::new()
     }
 
-    pub(super) fn run(&mut self, _: (&str, [usize; 4], &[f32]), _: &str) -> Result<Vec<f32>, String> {
+    pub(super) fn prepared(self, _: [usize; 4], _: (&str, [usize; 2])) -> Result<PreparedNetwork, String> {
+        Err(CnnError::NotBuilt.to_string())
+    }
+}
+
+/// Never exists in this build.
+#[derive(Debug)]
+pub(super) struct PreparedNetwork(());
+
+impl PreparedNetwork {
+    pub(super) fn input(&mut self) -> &mut [f32] {
+        &mut []
+    }
+
+    pub(super) fn run(&mut self, _: &mut Vec<f32>) -> Result<(), String> {
         Err(CnnError::NotBuilt.to_string())
     }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::card::{ModelCard, read_bounded};
 use super::descriptor::Descriptor;
-use super::engine::{Network, sha256_hex};
+use super::engine::{Network, PreparedNetwork, sha256_hex};
 use super::error::CnnError;
 use super::preprocess::Preprocessor;
 use super::runtime::OnnxRuntime;
@@ -25,7 +25,7 @@ const MOST_THREADS: usize = 2;
 #[derive(Debug)]
 pub struct DescriptorModel {
     card: ModelCard,
-    network: Network,
+    network: PreparedNetwork,
     preprocessor: Preprocessor,
 }
 
@@ -75,9 +75,13 @@ impl DescriptorModel {
         let network =
             Network::from_onnx(&runtime.library, bytes, threads.clamp(1, MOST_THREADS)).map_err(unfit)?;
         signature::check(&network.inputs(), &network.outputs(), &card).map_err(unfit)?;
-        let preprocessor = Preprocessor::new(&card.input);
+        let (input, descriptor) = (&card.input, &card.descriptor);
+        let network = network
+            .prepared([1, 3, input.height_px, input.width_px], (&descriptor.name, [1, descriptor.dimensions]))
+            .map_err(unfit)?;
+        let preprocessor = Preprocessor::new(input);
         let mut model = Self { card, network, preprocessor };
-        model.run(&RgbImage::new(1, 1)).map_err(|error| match error {
+        model.run(&RgbImage::new(1, 1), &mut Vec::new()).map_err(|error| match error {
             CnnError::Inference { reason, .. } => unfit(reason),
             other => other,
         })?;
@@ -102,25 +106,29 @@ impl DescriptorModel {
     /// [`CnnError::EmptyImage`], [`CnnError::Inference`], or [`CnnError::Degenerate`] if the output has no
     /// finite length above zero.
     pub fn describe(&mut self, image: &RgbImage) -> Result<Descriptor, CnnError> {
-        let values = self.run(image)?;
+        self.describe_reusing(image, None)
+    }
+
+    /// As [`describe`](Self::describe), in the memory of a descriptor that nobody needs any more, if there is one:
+    /// images of one size then take none.
+    ///
+    /// # Errors
+    /// As [`describe`](Self::describe).
+    pub fn describe_reusing(
+        &mut self,
+        image: &RgbImage,
+        spare: Option<Descriptor>,
+    ) -> Result<Descriptor, CnnError> {
+        let mut values = spare.map_or_else(Vec::new, Descriptor::into_values);
+        self.run(image, &mut values)?;
         Descriptor::from_values(values).ok_or_else(|| CnnError::Degenerate { model: self.card.name.clone() })
     }
 
-    /// The network's raw output for one image.
-    fn run(&mut self, image: &RgbImage) -> Result<Vec<f32>, CnnError> {
-        let ModelCard { name, input, descriptor, .. } = &self.card;
-        let tensor = self.preprocessor.tensor(image)?;
-        let shape = [1, 3, input.height_px, input.width_px];
-        let fail = |reason| CnnError::Inference { model: name.clone(), reason };
-        let values = self.network.run((&input.name, shape, tensor), &descriptor.name).map_err(fail)?;
-        if values.len() != descriptor.dimensions {
-            return Err(fail(format!(
-                "{} values came out, expected {}",
-                values.len(),
-                descriptor.dimensions
-            )));
-        }
-        Ok(values)
+    /// Writes the network's raw output for one image over what is in `values`.
+    fn run(&mut self, image: &RgbImage, values: &mut Vec<f32>) -> Result<(), CnnError> {
+        self.preprocessor.write_tensor(image, self.network.input())?;
+        let fail = |reason| CnnError::Inference { model: self.card.name.clone(), reason };
+        self.network.run(values).map_err(fail)
     }
 }
 

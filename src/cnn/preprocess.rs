@@ -9,6 +9,8 @@
 //! pixel i of n takes source pixel x of m with weight max(0, 1 − |x + ½ − c| / r), where
 //! c = (i + ½) · m / n and r = max(m / n, 1), the weights scaled to sum 1.
 
+use std::mem;
+
 use super::card::InputCard;
 use super::error::CnnError;
 use crate::kernel::for_every_processor;
@@ -22,7 +24,7 @@ pub struct Preprocessor {
     rows: Taps,
     /// [`ROWS`] rows of the output, still as wide as the source.
     rows_between: Vec<Pixel>,
-    /// `[3, height, width]`.
+    /// `[3, height, width]`; of none yet if all were written elsewhere.
     tensor: Vec<f32>,
 }
 
@@ -35,7 +37,7 @@ impl Preprocessor {
             columns: Taps::default(),
             rows: Taps::default(),
             rows_between: Vec::new(),
-            tensor: vec![0.0; 3 * input.width_px * input.height_px],
+            tensor: Vec::new(),
         }
     }
 
@@ -45,6 +47,18 @@ impl Preprocessor {
     /// # Errors
     /// [`CnnError::EmptyImage`] for an image without pixels.
     pub fn tensor(&mut self, image: &RgbImage) -> Result<&[f32], CnnError> {
+        let mut tensor = mem::take(&mut self.tensor);
+        tensor.resize(3 * self.input.width_px * self.input.height_px, 0.0);
+        let written = self.write_tensor(image, &mut tensor);
+        self.tensor = tensor;
+        written.map(|()| self.tensor.as_slice())
+    }
+
+    /// Writes that tensor over `tensor`, which is as long.
+    ///
+    /// # Errors
+    /// As [`tensor`](Self::tensor).
+    pub fn write_tensor(&mut self, image: &RgbImage, tensor: &mut [f32]) -> Result<(), CnnError> {
         let (width_px, height_px) = (image.width(), image.height());
         if width_px == 0 || height_px == 0 {
             return Err(CnnError::EmptyImage { width_px, height_px });
@@ -54,9 +68,9 @@ impl Preprocessor {
         self.rows_between.resize(width_px, [[0.0; ROWS]; 3]);
         for y in (0..self.input.height_px).step_by(ROWS) {
             blend_rows(image, &self.rows, y, self.rows_between.as_flattened_mut());
-            blend_columns(&self.rows_between, &self.columns, &self.input, y, &mut self.tensor);
+            blend_columns(&self.rows_between, &self.columns, &self.input, y, tensor);
         }
-        Ok(&self.tensor)
+        Ok(())
     }
 }
 

@@ -42,7 +42,8 @@ pub fn geometry(
 ) -> Verification {
     let vocabulary = vocabularies.vocabulary(query.look.light.condition);
     let query_groups: Vec<u32> = query.look.quantised.iter().map(|quantised| quantised.node.0).collect();
-    let keyframe_groups = vocabulary.groups(&keyframe.descriptors);
+    let mut keyframe_groups = Vec::new();
+    vocabulary.groups_into(&keyframe.descriptors, &mut keyframe_groups);
     let query = MatchingView { features: &query.look.features, groups: &query_groups };
     let keyframe = MatchingView { features: keyframe, groups: &keyframe_groups };
     verify(query, keyframe, options)

@@ -58,7 +58,7 @@ impl PlaceMap {
         let moved = |place: &PlaceId| place.0 + first;
         let bare = |place: &Place| PlaceRecord {
             place: moved(&place.id),
-            name: place.name.clone(),
+            name: place.name.as_deref().map(str::to_owned),
             merged_into: None,
             neighbours: Vec::new(),
         };

@@ -3,12 +3,13 @@
 //! Journal and snapshot lead here by the same few steps, whether a record was just written or is read back.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use super::format::PlaceRecord;
 use super::{Experience, ExperienceId, Place, PlaceId};
 
 /// Places that a place remembers as next to it.
-pub(super) const MAX_NEIGHBOURS: usize = 8;
+pub const MAX_NEIGHBOURS: usize = 8;
 
 /// Where a record is: a segment's number and the offset in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -64,7 +65,7 @@ impl Contents {
         self.live_bytes -= before.as_ref().map_or(0, |place| u64::from(place.record_bytes));
         let place = Place {
             id,
-            name: record.name,
+            name: record.name.map(Arc::from),
             merged_into: record.merged_into.map(PlaceId),
             neighbours: record.neighbours.into_iter().map(PlaceId).collect(),
             experiences: before.map_or_else(Vec::new, |place| place.experiences),

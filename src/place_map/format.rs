@@ -61,20 +61,24 @@ pub(super) fn encode(record: &impl Encode) -> Result<Vec<u8>, String> {
 /// A record from its payload, whose checksum was right; an error means that it is not what it says to be.
 pub(super) fn decode<R: Decode<()>>(payload: &[u8]) -> Result<R, String> {
     let (record, read) =
-        bincode::decode_from_slice(payload, configuration()).map_err(|error| match error {
-            DecodeError::UnexpectedEnd { .. } => "it ends too early".to_owned(),
-            error => error.to_string(),
-        })?;
+        bincode::decode_from_slice(payload, configuration()).map_err(|error| reason(&error))?;
     match payload.len() - read {
         0 => Ok(record),
         rest => Err(format!("{rest} bytes too many")),
     }
 }
 
+fn reason(error: &DecodeError) -> String {
+    match error {
+        DecodeError::UnexpectedEnd { .. } => "it ends too early".to_owned(),
+        error => error.to_string(),
+    }
+}
+
 /// Takes the next of many records that stand one after the other off the front of `bytes`.
 pub(super) fn take<R: Decode<()>>(bytes: &mut &[u8]) -> Result<R, String> {
     let (record, read) =
-        bincode::decode_from_slice(bytes, configuration()).map_err(|error| error.to_string())?;
+        bincode::decode_from_slice(bytes, configuration()).map_err(|error| reason(&error))?;
     *bytes = &bytes[read..];
     Ok(record)
 }
@@ -107,6 +111,15 @@ pub(super) struct ExperienceRecord {
     pub(super) keyframe: Option<KeyframeRecord>,
 }
 
+/// How many bytes before an experience's record that of its features begins, 0 if it has none: what is behind this in
+/// `payload` is not looked at, and nothing is copied.
+pub(super) fn features_back_bytes(payload: &[u8]) -> Result<u32, String> {
+    type Front<'a> = (u32, u32, u64, &'a str, i64, Option<[f64; 7]>, Option<f32>, u64, u32, Option<u32>);
+    let (front, _): (Front<'_>, usize) =
+        bincode::borrow_decode_from_slice(payload, configuration()).map_err(|error| reason(&error))?;
+    Ok(front.9.unwrap_or(0))
+}
+
 #[derive(Clone, Debug, Encode, Decode)]
 pub(super) struct KeyframeRecord {
     /// Bytes from the features' record to this one.
@@ -117,7 +130,7 @@ pub(super) struct KeyframeRecord {
     pub(super) appearance: Option<(String, Vec<u8>)>,
 }
 
-#[derive(Clone, Debug, Encode, Decode)]
+#[derive(Clone, Debug, Encode)]
 pub(super) struct FeaturesRecord {
     width_px: u32,
     height_px: u32,
@@ -177,17 +190,26 @@ impl From<&Features> for FeaturesRecord {
 }
 
 impl FeaturesRecord {
-    /// The features; an error if keypoints and descriptors are not equally many.
-    pub(super) fn unpacked(&self) -> Result<Features, String> {
-        if self.keypoints.len() != self.descriptors.len() {
+    /// Unpacks the record in `payload`, whose checksum was right, over what is in `features`; an error if it is not
+    /// what it says to be, or if keypoints and descriptors are not equally many.
+    pub(super) fn unpack(mut payload: &[u8], features: &mut Features) -> Result<(), String> {
+        let bytes = &mut payload;
+        features.clear();
+        (features.width_px, features.height_px) = (take(bytes)?, take(bytes)?);
+        let count: u64 = take(bytes)?;
+        for _ in 0..count {
+            features.keypoints.push(Keypoint::from(&take::<PackedKeypoint>(bytes)?));
+        }
+        if take::<u64>(bytes)? != count {
             return Err("its features do not fit together".to_owned());
         }
-        Ok(Features {
-            width_px: self.width_px,
-            height_px: self.height_px,
-            keypoints: self.keypoints.iter().map(Keypoint::from).collect(),
-            descriptors: self.descriptors.iter().copied().map(Descriptor).collect(),
-        })
+        for _ in 0..count {
+            features.descriptors.push(Descriptor(take(bytes)?));
+        }
+        match bytes.len() {
+            0 => Ok(()),
+            rest => Err(format!("{rest} bytes too many")),
+        }
     }
 }
 
@@ -240,5 +262,40 @@ pub(super) fn unpack_pose([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Pose {
 impl ThinnedRecord {
     pub(super) fn new(experiences: &[ExperienceId]) -> Self {
         Self { experiences: experiences.iter().map(|id| id.0).collect() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_front_of_an_experience_says_where_its_features_are_whatever_it_holds() {
+        let keyframe = KeyframeRecord {
+            features_back_bytes: 9000,
+            words: vec![(3, vec![1, 2])],
+            appearance: Some(("model".to_owned(), vec![7; 5])),
+        };
+        for (pose, mean_luminance, keyframe) in [
+            (None, None, None),
+            (None, Some(3.0), Some(keyframe.clone())),
+            (Some([2.0; 7]), None, Some(keyframe)),
+        ] {
+            let expected = keyframe.as_ref().map_or(0, |keyframe| keyframe.features_back_bytes);
+            let record = ExperienceRecord {
+                experience: 1,
+                place: 2,
+                frame_index: 3,
+                frame_name: "frame".to_owned(),
+                capture_nanos: -4,
+                pose,
+                mean_luminance,
+                view: 5,
+                thumbnail_back_bytes: 6,
+                keyframe,
+            };
+            let payload = encode(&record).unwrap();
+            assert_eq!(features_back_bytes(&payload), Ok(expected));
+        }
     }
 }

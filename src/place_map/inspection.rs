@@ -10,6 +10,7 @@ use super::format::{
 use super::journal::segment_identity;
 use super::replay::{apply, apply_version_1};
 use super::version_1;
+use crate::feature::Features;
 use crate::storage::{AppendFile, Envelope, RecordLog, StorageError, Surveyed, log_kind};
 
 /// What stands at one place of a segment.
@@ -151,7 +152,7 @@ impl Parts {
         match envelope {
             FEATURES => {
                 self.note(offset, Some(FEATURES));
-                format::decode::<FeaturesRecord>(payload)?.unpacked().map(drop)
+                FeaturesRecord::unpack(payload, &mut Features::default())
             }
             THUMBNAIL => {
                 self.note(offset, Some(THUMBNAIL));

@@ -46,6 +46,13 @@ impl Segment {
     }
 }
 
+/// Reads the features of one keyframe after the other, and keeps its memory.
+#[derive(Debug, Default)]
+pub struct FeatureReader {
+    payload: Vec<u8>,
+    pub(super) features: Features,
+}
+
 /// The segments of a map's journal.
 pub(super) struct Journal {
     pub(super) folder: Arc<dyn Folder>,
@@ -216,16 +223,32 @@ impl Journal {
 
     /// The features of the keyframe whose record is at `location`.
     pub(super) fn features(&self, location: Location) -> Result<Features, StorageError> {
-        let unpacked = match self.segment(location)? {
-            Segment::Log(_) => {
-                let back =
-                    self.experience(location)?.keyframe.map_or(0, |keyframe| keyframe.features_back_bytes);
-                let payload = self.blob(location, back, FEATURES)?;
-                format::decode::<FeaturesRecord>(&payload).and_then(|record| record.unpacked())
+        let mut reader = FeatureReader::default();
+        self.read_features(location, &mut reader)?;
+        Ok(reader.features)
+    }
+
+    /// Has `reader` read the features of the keyframe whose record is at `location`.
+    pub(super) fn read_features(
+        &self,
+        location: Location,
+        FeatureReader { payload, features }: &mut FeatureReader,
+    ) -> Result<(), StorageError> {
+        let damaged = |reason: String| self.damaged(location, &reason);
+        match self.segment(location)? {
+            Segment::Log(log) => {
+                if log.read_into(location.offset(), payload)? != EXPERIENCE {
+                    return Err(self.damaged(location, "it is no experience"));
+                }
+                let back = format::features_back_bytes(payload).map_err(damaged)?;
+                self.read_blob((location, back), FEATURES, payload)?;
+                FeaturesRecord::unpack(payload, features).map_err(damaged)
             }
-            Segment::Version1(journal) => self.old_experience(journal, location)?.0.features(),
-        };
-        unpacked.map_err(|reason| self.damaged(location, &reason))
+            Segment::Version1(journal) => {
+                *features = self.old_experience(journal, location)?.0.features().map_err(damaged)?;
+                Ok(())
+            }
+        }
     }
 
     /// The JPEG of the experience whose record is at `location`; nothing if it has none.
@@ -233,18 +256,29 @@ impl Journal {
         match self.segment(location)? {
             Segment::Log(_) => match self.experience(location)?.thumbnail_back_bytes {
                 0 => Ok(Vec::new()),
-                back => self.blob(location, back, THUMBNAIL),
+                back => {
+                    let mut jpeg = Vec::new();
+                    self.read_blob((location, back), THUMBNAIL, &mut jpeg)?;
+                    Ok(jpeg)
+                }
             },
             Segment::Version1(journal) => Ok(self.old_experience(journal, location)?.0.thumbnail_jpeg),
         }
     }
 
-    fn blob(&self, location: Location, back: u32, expected: Envelope) -> Result<Vec<u8>, StorageError> {
+    /// Reads the part of an experience that begins so many bytes before its record.
+    fn read_blob(
+        &self,
+        (location, back): (Location, u32),
+        expected: Envelope,
+        payload: &mut Vec<u8>,
+    ) -> Result<(), StorageError> {
         let Segment::Log(log) = self.segment(location)? else {
             return Err(self.damaged(location, "it has no parts"));
         };
-        match location.offset().checked_sub(u64::from(back)).map(|offset| log.read(offset)).transpose()? {
-            Some((envelope, payload)) if envelope == expected => Ok(payload),
+        let offset = location.offset().checked_sub(u64::from(back));
+        match offset.map(|offset| log.read_into(offset, payload)).transpose()? {
+            Some(envelope) if envelope == expected => Ok(()),
             _ => Err(self.damaged(location, "it points to what is not its own")),
         }
     }

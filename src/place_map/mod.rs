@@ -44,7 +44,9 @@ mod verify;
 mod version_1;
 mod witness;
 
+pub use contents::MAX_NEIGHBOURS;
 pub use error::{MapError, Unreadable};
+pub use journal::FeatureReader;
 pub use kept_index::KeptIndex;
 pub use map::{Learnt, NewExperience, PlaceMap};
 pub use options::{Durability, MapOptions};
@@ -52,6 +54,8 @@ pub use reading::MapSummary;
 pub use salvage::PassedOver;
 pub use syncer::JournalSyncer;
 pub use verify::{Problem, SnapshotState, Verification};
+
+use std::sync::Arc;
 
 use contents::Location;
 use format::{ExperienceRecord, PlaceRecord};
@@ -74,10 +78,10 @@ pub struct Place {
     /// Its number.
     pub id: PlaceId,
     /// What people call it, once somebody named it.
-    pub name: Option<String>,
+    pub name: Option<Arc<str>>,
     /// The place that it turned out to be; then its experiences are there.
     pub merged_into: Option<PlaceId>,
-    /// Places next to it along the way, in the order in which they were found to be; at most eight.
+    /// Places next to it along the way, in the order in which they were found to be; at most [`MAX_NEIGHBOURS`].
     pub neighbours: Vec<PlaceId>,
     /// Its experiences, oldest first.
     pub experiences: Vec<ExperienceId>,
@@ -149,7 +153,7 @@ impl Place {
     fn record(&self) -> PlaceRecord {
         PlaceRecord {
             place: self.id.0,
-            name: self.name.clone(),
+            name: self.name.as_deref().map(str::to_owned),
             merged_into: self.merged_into.map(|place| place.0),
             neighbours: self.neighbours.iter().map(|place| place.0).collect(),
         }

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use super::contents::Location;
 use super::format::{self, ExperienceRecord};
+use super::journal::FeatureReader;
 use super::map::PlaceMap;
 use super::{Experience, ExperienceId, MapError, Origin, Place, PlaceId, Traits, Unreadable};
 use crate::feature::Features;
@@ -117,11 +118,25 @@ impl PlaceMap {
     /// # Errors
     /// If there is no such keyframe or its record cannot be read.
     pub fn features(&self, id: ExperienceId) -> Result<Features, MapError> {
-        if self.is_keyframe(id) {
-            Ok(self.journal.features(self.location(id)?)?)
-        } else {
-            Err(MapError::NoExperience { experience: id.0 })
+        let mut reader = FeatureReader::default();
+        self.read_features(id, &mut reader)?;
+        Ok(reader.features)
+    }
+
+    /// The features of a keyframe, in the memory of `reader`.
+    ///
+    /// # Errors
+    /// As [`features`](Self::features).
+    pub fn read_features<'r>(
+        &self,
+        id: ExperienceId,
+        reader: &'r mut FeatureReader,
+    ) -> Result<&'r Features, MapError> {
+        if !self.is_keyframe(id) {
+            return Err(MapError::NoExperience { experience: id.0 });
         }
+        self.journal.read_features(self.location(id)?, reader)?;
+        Ok(&reader.features)
     }
 
     /// The thumbnail of an experience: the bytes of a JPEG, none if there is none.

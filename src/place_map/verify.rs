@@ -585,7 +585,7 @@ mod tests {
         other.experiences.get_mut(&id).unwrap().view ^= 1;
         assert!(said(position, &other).contains(&format!("otherwise of experience {}", id.0)));
         let mut other = contents.clone();
-        other.places.get_mut(&PlaceId(0)).unwrap().name = Some("hall".to_owned());
+        other.places.get_mut(&PlaceId(0)).unwrap().name = Some("hall".into());
         assert!(said(position, &other).contains("otherwise of place 0"));
         let mut other = contents.clone();
         other.remove_experience(ExperienceId(5));

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use heapless::Vec as FixedVec;
 
 use super::candidate::{Candidate, Evidence, MAX_CANDIDATES};
-use crate::cnn::CompactDescriptor;
+use crate::cnn::{self, CompactDescriptor};
 use crate::place_map::{ExperienceId, PlaceId};
 
 /// What the allocator and those who count who shares it take of every descriptor.
@@ -25,6 +25,8 @@ pub(super) struct AppearanceIndex {
     entries: Vec<Entry>,
     /// Where each keyframe is among them.
     positions: HashMap<ExperienceId, u32>,
+    /// What was asked for last; its memory serves the next one.
+    asked: Option<CompactDescriptor>,
 }
 
 impl AppearanceIndex {
@@ -68,10 +70,17 @@ impl AppearanceIndex {
     }
 
     /// The best keyframe of each of the places that are most like `descriptor`, best first.
-    pub(super) fn query(&self, descriptor: &CompactDescriptor) -> FixedVec<Candidate, MAX_CANDIDATES> {
+    pub(super) fn query(&mut self, descriptor: &cnn::Descriptor) -> FixedVec<Candidate, MAX_CANDIDATES> {
+        let asked = match &mut self.asked {
+            Some(asked) => {
+                asked.set(descriptor);
+                asked
+            }
+            none => none.insert(descriptor.into()),
+        };
         let mut best: FixedVec<Candidate, MAX_CANDIDATES> = FixedVec::new();
         for entry in &self.entries {
-            let score = descriptor.cosine(&entry.descriptor);
+            let score = asked.cosine(&entry.descriptor);
             if let Some(known) = best.iter().position(|candidate| candidate.place == entry.place) {
                 if best[known].score >= score {
                     continue;
@@ -107,11 +116,10 @@ impl Entry {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cnn;
     use proptest::prelude::*;
 
-    fn unit(angle: f32) -> CompactDescriptor {
-        (&cnn::Descriptor::from_values(vec![angle.cos(), angle.sin()]).unwrap()).into()
+    fn unit(angle: f32) -> cnn::Descriptor {
+        cnn::Descriptor::from_values(vec![angle.cos(), angle.sin()]).unwrap()
     }
 
     proptest! {
@@ -121,7 +129,7 @@ mod tests {
         ) {
             let mut index = AppearanceIndex::default();
             for (keyframe, &(place, angle)) in (0..).zip(&entries) {
-                let descriptor = unit(angle);
+                let descriptor = (&unit(angle)).into();
                 index.add(PlaceId(place), ExperienceId(keyframe), descriptor);
             }
             let mut expected: Vec<(f32, u32)> = (0..12).filter_map(|place| {
@@ -146,7 +154,7 @@ mod tests {
             for (kind, keyframe, place) in changes {
                 match kind {
                     0 => {
-                        index.add(PlaceId(place), ExperienceId(keyframe), unit(0.0));
+                        index.add(PlaceId(place), ExperienceId(keyframe), (&unit(0.0)).into());
                         expected.insert(keyframe, place);
                     }
                     1 => {

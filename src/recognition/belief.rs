@@ -6,9 +6,10 @@
 //! anywhere, whatever its speed: what it sees decides between these. Only places that stand out are kept, so a frame
 //! costs as much in a large map as in a small one.
 
-use std::collections::{BTreeMap, BTreeSet};
+use heapless::Vec as FixedVec;
 
-use crate::place_map::{PlaceId, PlaceMap};
+use super::by_place::ByPlace;
+use crate::place_map::{MAX_NEIGHBOURS, PlaceId, PlaceMap};
 
 /// Probability to be where the frame before was.
 const STAYS: f32 = 0.8;
@@ -32,7 +33,7 @@ const KEPT: usize = 32;
 #[derive(Clone, Debug)]
 pub(super) struct Belief {
     /// Probability of the places that stand out.
-    places: BTreeMap<PlaceId, f32>,
+    places: ByPlace<f32>,
     /// Of anywhere else, in the map or not.
     elsewhere: f32,
 }
@@ -40,7 +41,7 @@ pub(super) struct Belief {
 /// Where the robot is expected before a frame is looked at.
 #[derive(Clone, Debug)]
 pub(super) struct Expectation {
-    places: BTreeMap<PlaceId, f32>,
+    places: ByPlace<f32>,
     /// Of any other place that is found in the frame.
     other: f32,
     unmapped: f32,
@@ -49,17 +50,25 @@ pub(super) struct Expectation {
 impl Default for Belief {
     /// Anywhere.
     fn default() -> Self {
-        Self { places: BTreeMap::new(), elsewhere: 1.0 }
+        Self { places: ByPlace::default(), elsewhere: 1.0 }
+    }
+}
+
+impl Default for Expectation {
+    /// Nothing is known: every place is as likely as to be in none.
+    fn default() -> Self {
+        Self { places: ByPlace::default(), other: 0.5, unmapped: 0.5 }
     }
 }
 
 impl Belief {
-    /// Where the next frame is expected to be taken.
-    pub(super) fn expectation(&self, map: &PlaceMap) -> Expectation {
-        let mut places = BTreeMap::new();
+    /// Writes over `expected` where the next frame is expected to be taken.
+    pub(super) fn expect(&self, map: &PlaceMap, expected: &mut Expectation) {
+        let Expectation { places, other, unmapped } = expected;
+        places.clear();
         let mut anywhere = self.elsewhere;
-        let mut expect = |place: PlaceId, share: f32| *places.entry(place).or_insert(0.0) += share;
-        for (&place, &share) in &self.places {
+        let mut expect = |place: PlaceId, share: f32| *places.entry(place, 0.0) += share;
+        for (place, share) in self.places.iter() {
             let Some(place) = map.place(place).map(|place| place.id) else {
                 anywhere += share;
                 continue;
@@ -73,31 +82,31 @@ impl Belief {
             for &one in &next {
                 let part = share / next.len() as f32;
                 expect(one, part * GOES_ON[0]);
-                let behind: Vec<PlaceId> =
-                    neighbours(map, one).into_iter().filter(|&two| two != place).collect();
-                // At the end of the way it stays there.
-                let ends = if behind.is_empty() { vec![one] } else { behind };
+                let mut ends = neighbours(map, one);
+                ends.retain(|&two| two != place);
+                if ends.is_empty() {
+                    // At the end of the way it stays there; the list has room.
+                    let _ = ends.push(one);
+                }
                 ends.iter().for_each(|&two| expect(two, part * GOES_ON[1] / ends.len() as f32));
             }
         }
-        let other = anywhere * (1.0 - UNMAPPED) / FOUND;
-        Expectation { places, other, unmapped: anywhere * UNMAPPED }
+        *other = anywhere * (1.0 - UNMAPPED) / FOUND;
+        *unmapped = anywhere * UNMAPPED;
     }
 
     fn keep_what_stands_out(&mut self) {
-        if self.places.len() <= KEPT {
-            return;
-        }
-        let mut by_share: Vec<(PlaceId, f32)> = std::mem::take(&mut self.places).into_iter().collect();
-        by_share.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-        self.elsewhere += by_share[KEPT..].iter().map(|(_, share)| share).sum::<f32>();
-        by_share.truncate(KEPT);
-        self.places = by_share.into_iter().collect();
+        let likeliest_first =
+            |a: &(PlaceId, f32), b: &(PlaceId, f32)| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0));
+        let Self { places, elsewhere } = self;
+        places.keep_first(KEPT, likeliest_first, |left_out| {
+            *elsewhere += left_out.iter().map(|(_, share)| share).sum::<f32>();
+        });
     }
 
     /// The robot has just founded the place, or has not recognised where it is.
     pub(super) fn after_founding(place: PlaceId) -> Self {
-        Self { places: BTreeMap::from([(place, FOUNDED)]), elsewhere: 1.0 - FOUNDED }
+        Self { places: ByPlace::from_iter([(place, FOUNDED)]), elsewhere: 1.0 - FOUNDED }
     }
 
     /// Probability of a place, with those next to it, which show much the same; 0 if one of these is likelier and
@@ -112,7 +121,7 @@ impl Belief {
 
     /// Probability of a place.
     pub(super) fn of(&self, place: PlaceId) -> f32 {
-        self.places.get(&place).copied().unwrap_or_default()
+        self.places.get(place).unwrap_or_default()
     }
 
     /// Probability to be in none of the places that stand out.
@@ -122,29 +131,25 @@ impl Belief {
 }
 
 impl Expectation {
-    /// Nothing is known: every place is as likely as to be in none.
-    pub(super) fn of_nothing() -> Self {
-        Self { places: BTreeMap::new(), other: 0.5, unmapped: 0.5 }
-    }
-
-    /// What is believed once the frame has said so of places; of those of which it says nothing, nothing was found.
-    pub(super) fn seeing(&self, log_odds: &BTreeMap<PlaceId, f32>) -> Belief {
+    /// Writes over `belief` what is believed once the frame has said so of places; of those of which it says nothing,
+    /// nothing was found.
+    pub(super) fn see(&self, log_odds: &ByPlace<f32>, belief: &mut Belief) {
         let odds = |said: f32| said.clamp(-MOST_LOG_ODDS, MOST_LOG_ODDS).exp();
-        let mut places: BTreeMap<PlaceId, f32> =
-            log_odds.iter().map(|(&place, &said)| (place, self.of(place) * odds(said))).collect();
-        for (&place, &share) in &self.places {
-            places.entry(place).or_insert(share * NOT_FOUND);
+        let places = &mut belief.places;
+        places.clear();
+        log_odds.iter().for_each(|(place, said)| places.set(place, self.of(place) * odds(said)));
+        for (place, share) in self.places.iter() {
+            places.entry(place, share * NOT_FOUND);
         }
-        let sum = places.values().sum::<f32>() + self.unmapped;
+        let sum = places.iter().map(|(_, share)| share).sum::<f32>() + self.unmapped;
         places.values_mut().for_each(|share| *share /= sum);
-        let mut belief = Belief { places, elsewhere: self.unmapped / sum };
+        belief.elsewhere = self.unmapped / sum;
         belief.keep_what_stands_out();
-        belief
     }
 
     /// The places that the robot may be in because it was in one of the places that stood out.
     pub(super) fn places(&self) -> impl Iterator<Item = PlaceId> {
-        self.places.keys().copied()
+        self.places.iter().map(|(place, _)| place)
     }
 
     /// Probability to be in none of the map.
@@ -154,7 +159,7 @@ impl Expectation {
 
     /// Probability to be in a place because of where the robot was.
     pub(super) fn share(&self, place: PlaceId) -> f32 {
-        self.places.get(&place).copied().unwrap_or_default()
+        self.places.get(place).unwrap_or_default()
     }
 
     /// Probability of a place, if it is found in the frame.
@@ -163,10 +168,21 @@ impl Expectation {
     }
 }
 
-/// The places next to one along the ways that the robot went.
-pub(super) fn neighbours(map: &PlaceMap, place: PlaceId) -> BTreeSet<PlaceId> {
+/// The places next to one.
+pub(super) type Neighbours = FixedVec<PlaceId, MAX_NEIGHBOURS>;
+
+/// The places next to one along the ways that the robot went, each once, in their order.
+pub(super) fn neighbours(map: &PlaceMap, place: PlaceId) -> Neighbours {
     let ids = map.place(place).into_iter().flat_map(|place| &place.neighbours);
-    ids.filter_map(|&id| map.place(id)).map(|place| place.id).filter(|&id| id != place).collect()
+    let living = ids.filter_map(|&id| map.place(id)).map(|place| place.id).filter(|&id| id != place);
+    let mut neighbours = Neighbours::new();
+    for id in living {
+        if let Err(position) = neighbours.binary_search(&id) {
+            // Maps know no more of a place.
+            let _ = neighbours.insert(position, id);
+        }
+    }
+    neighbours
 }
 
 #[cfg(test)]
@@ -197,10 +213,22 @@ mod tests {
     }
 
     fn at(place: u32) -> Belief {
-        Belief { places: BTreeMap::from([(PlaceId(place), 1.0)]), elsewhere: 0.0 }
+        Belief { places: ByPlace::from_iter([(PlaceId(place), 1.0)]), elsewhere: 0.0 }
     }
 
-    fn said(log_odds: &[(u32, f32)]) -> BTreeMap<PlaceId, f32> {
+    fn expectation(belief: &Belief, map: &PlaceMap) -> Expectation {
+        let mut expected = Expectation::default();
+        belief.expect(map, &mut expected);
+        expected
+    }
+
+    fn seeing(expected: &Expectation, log_odds: &[(u32, f32)]) -> Belief {
+        let mut belief = Belief::default();
+        expected.see(&said(log_odds), &mut belief);
+        belief
+    }
+
+    fn said(log_odds: &[(u32, f32)]) -> ByPlace<f32> {
         log_odds.iter().map(|&(place, said)| (PlaceId(place), said)).collect()
     }
 
@@ -208,21 +236,21 @@ mod tests {
     fn one_doubtful_frame_does_not_move_a_robot_and_two_good_ones_carry_it_anywhere() {
         let map = way(40);
         let at = at(7);
-        let doubtful = at.expectation(&map).seeing(&said(&[(7, 0.0), (30, 1.0)]));
+        let doubtful = seeing(&expectation(&at, &map), &[(7, 0.0), (30, 1.0)]);
         assert!(doubtful.of(PlaceId(7)) > 0.8, "{doubtful:?}");
-        let carried = at.expectation(&map).seeing(&said(&[(7, -2.0), (30, 5.0)]));
-        let carried = carried.expectation(&map).seeing(&said(&[(30, 5.0)]));
+        let carried = seeing(&expectation(&at, &map), &[(7, -2.0), (30, 5.0)]);
+        let carried = seeing(&expectation(&carried, &map), &[(30, 5.0)]);
         assert!(carried.of(PlaceId(30)) > 0.9, "{carried:?}");
     }
 
     #[test]
     fn a_robot_that_goes_on_is_expected_in_the_next_place_and_at_the_end_of_the_way_stays() {
         let map = way(6);
-        let expected = at(2).expectation(&map);
+        let expected = expectation(&at(2), &map);
         let [stays, next, behind, far] = [2, 3, 4, 5].map(|place| expected.of(PlaceId(place)));
         assert!(stays > next && next > behind && behind > 3.0 * far, "{expected:?}");
         assert_eq!(expected.of(PlaceId(1)), next);
-        let expected = at(0).expectation(&map);
+        let expected = expectation(&at(0), &map);
         assert!(expected.of(PlaceId(1)) > next, "there is no other way to go");
     }
 
@@ -231,30 +259,30 @@ mod tests {
         let map = way(6);
         let mut belief = at(2);
         for _ in 0..3 {
-            belief = belief.expectation(&map).seeing(&said(&[(2, -3.0), (4, -3.0)]));
+            belief = seeing(&expectation(&belief, &map), &[(2, -3.0), (4, -3.0)]);
         }
         assert!(belief.of_elsewhere() > 0.9, "{belief:?}");
     }
 
     #[test]
     fn a_frame_by_itself_makes_a_place_as_likely_as_its_odds_say() {
-        let alone = Expectation::of_nothing().seeing(&said(&[(3, 2.0), (5, -4.0)]));
+        let alone = seeing(&Expectation::default(), &[(3, 2.0), (5, -4.0)]);
         assert!((alone.of(PlaceId(3)) - 0.88).abs() < 0.01 && alone.of(PlaceId(5)) < 0.02, "{alone:?}");
-        let torn = Expectation::of_nothing().seeing(&said(&[(3, 6.0), (5, 6.0)]));
+        let torn = seeing(&Expectation::default(), &[(3, 6.0), (5, 6.0)]);
         assert!((torn.of(PlaceId(3)) - 0.5).abs() < 0.01 && torn.of_elsewhere() < 0.01, "{torn:?}");
-        assert_eq!(Expectation::of_nothing().seeing(&said(&[])).of_elsewhere(), 1.0);
+        assert_eq!(seeing(&Expectation::default(), &[]).of_elsewhere(), 1.0);
     }
 
     #[test]
     fn a_place_that_is_gone_is_anywhere() {
         let map = way(2);
-        let expected = at(9).expectation(&map);
+        let expected = expectation(&at(9), &map);
         assert_eq!(expected.of(PlaceId(0)), expected.of(PlaceId(1)));
         assert!((expected.unmapped - UNMAPPED).abs() < 1e-6);
     }
 
     /// The same over all places at once, without leaving any out.
-    fn naive(places: usize, before: &[f64], log_odds: &BTreeMap<PlaceId, f32>) -> Vec<f64> {
+    fn naive(places: usize, before: &[f64], log_odds: &ByPlace<f32>) -> Vec<f64> {
         let mut expected = vec![0.0; places];
         let mut anywhere = before[places];
         let next = |place: usize| {
@@ -282,7 +310,7 @@ mod tests {
         let mut after: Vec<f64> = (0..places)
             .map(|place| {
                 let found = anywhere * (1.0 - unmapped) / f64::from(FOUND);
-                let odds = log_odds.get(&PlaceId(place as u32)).map(|said| f64::from(*said).exp());
+                let odds = log_odds.get(PlaceId(place as u32)).map(|said| f64::from(said).exp());
                 odds.map_or(expected[place] * f64::from(NOT_FOUND), |odds| (expected[place] + found) * odds)
             })
             .collect();
@@ -303,18 +331,18 @@ mod tests {
             expected[places as usize] = 1.0;
             for frame in frames {
                 let frame: Vec<_> = frame.into_iter().filter(|said| said.0 < places).collect();
-                belief = belief.expectation(&map).seeing(&said(&frame));
+                belief = seeing(&expectation(&belief, &map), &frame);
                 expected = naive(places as usize, &expected, &said(&frame));
                 for place in 0..places {
                     let got = f64::from(belief.of(PlaceId(place)));
                     // A place that was never said anything of is part of elsewhere.
-                    let is_kept = belief.places.contains_key(&PlaceId(place));
+                    let is_kept = belief.places.get(PlaceId(place)).is_some();
                     prop_assert!(!is_kept || (got - expected[place as usize]).abs() < 1e-4, "{belief:?} {expected:?}");
                 }
-                let sum = belief.places.values().sum::<f32>() + belief.elsewhere;
+                let sum = belief.places.iter().map(|(_, share)| share).sum::<f32>() + belief.elsewhere;
                 prop_assert!((sum - 1.0).abs() < 1e-4 && belief.places.len() <= KEPT);
                 // What is not kept apart counts as anywhere from then on.
-                let kept = |place: usize| belief.places.get(&PlaceId(place as u32)).copied();
+                let kept = |place: usize| belief.places.get(PlaceId(place as u32));
                 expected = (0..places as usize).map(|place| kept(place).map_or(0.0, f64::from)).collect();
                 expected.push(f64::from(belief.elsewhere));
             }

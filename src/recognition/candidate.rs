@@ -5,12 +5,16 @@ use std::fmt;
 use heapless::Vec as FixedVec;
 
 use crate::place_map::{ExperienceId, PlaceId};
+use crate::verification::Verification;
 
 /// Most candidates of each kind of evidence that are considered for a frame.
 pub const MAX_CANDIDATES: usize = 8;
 
 /// Candidates of both kinds.
 pub type Candidates = FixedVec<Candidate, { 2 * MAX_CANDIDATES }>;
+
+/// The geometry of candidates.
+pub type Verifications = FixedVec<Verification, MAX_CANDIDATES>;
 
 /// What speaks for a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

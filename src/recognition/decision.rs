@@ -1,9 +1,12 @@
 //! The decision itself: how likely each candidate is, which one is taken, and what that makes of the frame.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::mem;
 
-use super::belief::{self, Expectation};
-use super::candidate::{Candidate, Candidates, Evidence, Rejection};
+use heapless::Vec as FixedVec;
+
+use super::belief::{self, Expectation, Neighbours};
+use super::by_place::ByPlace;
+use super::candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
 use super::fusion::{self, Clues};
 use super::grounds::{Grounds, PlaceGrounds, Thresholds};
 use super::identity::STRONG;
@@ -19,26 +22,49 @@ const LEAST_LOG_ODDS: f32 = -3.0;
 /// believed to be would otherwise take its places along, and all would become one.
 pub(super) const SHOWN_LOG_ODDS: f32 = 1.0;
 
+/// What a frame and those before it say of places; its memory serves the next frame.
+#[derive(Default)]
+pub(super) struct Weighed {
+    clues: ByPlace<Clues>,
+    /// What these make of each place, and 0 of the one that was just founded.
+    log_odds: ByPlace<f32>,
+    expected: Expectation,
+}
+
 impl Recogniser {
     /// Says of every candidate how likely it is and, where that is too little, that it is turned down.
     pub(super) fn weigh_candidates(&mut self, candidates: &mut Candidates) -> Grounds {
-        let clues = self.clues(candidates);
-        let odds = clues.iter().map(|(&place, clues)| (place, clues.log_odds(self.model.as_ref())));
-        let mut log_odds: BTreeMap<PlaceId, f32> = odds.collect();
-        // Of the place that was just founded nothing is asked, so nothing speaks against it.
-        log_odds.extend(self.visits.founded_within_interval().map(|place| (place, 0.0)));
-        let expected = match self.options.sequence {
-            true => self.belief.expectation(&self.map),
-            false => Expectation::of_nothing(),
-        };
-        self.belief = expected.seeing(&log_odds);
-        let grounds = self.grounds(&clues, &log_odds, &expected);
+        // Taken, so that the recogniser can be asked meanwhile.
+        let mut weighed = mem::take(&mut self.weighed);
+        let Weighed { clues, log_odds, expected } = &mut weighed;
+        self.find_clues(candidates, clues);
+        log_odds.clear();
+        for (place, clues) in clues.iter() {
+            log_odds.set(place, clues.log_odds(self.model.as_ref()));
+        }
+        if let Some(place) = self.visits.founded_within_interval() {
+            // Of the place that was just founded nothing is asked, so nothing speaks against it.
+            log_odds.set(place, 0.0);
+        }
+        // Where every frame counts by itself, nothing is ever expected.
+        if self.options.sequence {
+            self.belief.expect(&self.map, expected);
+        }
+        expected.see(log_odds, &mut self.belief);
+        let grounds = self.grounds(&weighed);
+        self.turn_down(candidates, (&grounds, &weighed.log_odds));
+        self.weighed = weighed;
+        grounds
+    }
+
+    /// Says why candidates are turned down that are too unlikely.
+    fn turn_down(&self, candidates: &mut Candidates, (grounds, log_odds): (&Grounds, &ByPlace<f32>)) {
         let Thresholds { probability: needed, log_odds: least, .. } = grounds.thresholds;
         for candidate in candidates.iter_mut() {
             candidate.probability = self.belief.of(candidate.place);
             let around = grounds.around(candidate.place);
             let got = around + grounds.of(candidate.place).map_or(0.0, |grounds| grounds.twins);
-            let said = log_odds.get(&candidate.place).copied();
+            let said = log_odds.get(candidate.place);
             let why = if around == 0.0 && candidate.probability > 0.0 {
                 Some(Rejection::NextIsLikelier)
             } else if got < needed {
@@ -49,7 +75,6 @@ impl Recogniser {
             };
             candidate.rejected = candidate.rejected.or(why);
         }
-        grounds
     }
 
     /// Effective inliers from which on geometry verifies a place beyond doubt.
@@ -67,55 +92,57 @@ impl Recogniser {
         }
     }
 
-    fn clues(&self, candidates: &Candidates) -> BTreeMap<PlaceId, Clues> {
-        let places: BTreeSet<PlaceId> = candidates.iter().map(|candidate| candidate.place).collect();
-        let next = |place| (place, belief::neighbours(&self.map, place));
-        let next: BTreeMap<PlaceId, BTreeSet<PlaceId>> = places.into_iter().map(next).collect();
-        let leads = |a: PlaceId, b: PlaceId| next.get(&a).is_some_and(|next| next.contains(&b));
+    fn find_clues(&self, candidates: &Candidates, clues: &mut ByPlace<Clues>) {
+        // One a candidate's place, so that no more than candidates fit in.
+        let mut next: FixedVec<(PlaceId, Neighbours), { 2 * MAX_CANDIDATES }> = FixedVec::new();
+        for &Candidate { place, .. } in candidates {
+            if next.iter().all(|known| known.0 != place) {
+                let _ = next.push((place, belief::neighbours(&self.map, place)));
+            }
+        }
+        let leads =
+            |a: PlaceId, b: PlaceId| next.iter().any(|(place, next)| *place == a && next.contains(&b));
         let are_next = |a: PlaceId, b: PlaceId| leads(a, b) && leads(b, a);
         let is_described = |keyframe| self.appearances.contains(keyframe);
-        fusion::clues(candidates, self.model.as_ref(), is_described, are_next, self.beyond_doubt())
+        let rules = (self.model.as_ref(), self.beyond_doubt());
+        fusion::clues(candidates, rules, is_described, are_next, clues);
     }
 
-    fn grounds(
-        &self,
-        clues: &BTreeMap<PlaceId, Clues>,
-        log_odds: &BTreeMap<PlaceId, f32>,
-        expected: &Expectation,
-    ) -> Grounds {
+    fn grounds(&mut self, Weighed { clues, log_odds, expected }: &Weighed) -> Grounds {
+        let mut places = self.spare.grounds();
         let thresholds = self.thresholds();
         // Where nothing was found of a place, the frame says nothing for it, however little it says against it.
         let may_be = |place: PlaceId| {
-            let is_found = clues.get(&place).is_some_and(|clues| clues.are_any());
-            is_found && log_odds.get(&place).is_some_and(|&said| said >= thresholds.log_odds)
+            let is_found = clues.get(place).is_some_and(Clues::are_any);
+            is_found && log_odds.get(place).is_some_and(|said| said >= thresholds.log_odds)
         };
         let of = |place: PlaceId| PlaceGrounds {
             place,
-            clues: clues.get(&place).copied(),
-            log_odds: log_odds.get(&place).copied(),
+            clues: clues.get(place),
+            log_odds: log_odds.get(place),
             before: expected.share(place),
             after: self.belief.of(place),
             around: self.belief.around(place, &self.map, may_be),
             twins: self.likeliness_of_twins(place, clues),
             may_be: may_be(place),
         };
-        let places: BTreeSet<PlaceId> = log_odds.keys().copied().chain(expected.places()).collect();
-        let mut places: Vec<PlaceGrounds> = places.into_iter().map(of).collect();
-        places.sort_by(|a, b| b.after.total_cmp(&a.after));
+        places.extend(log_odds.iter().map(|(place, _)| of(place)));
+        places.extend(expected.places().filter(|&place| log_odds.get(place).is_none()).map(of));
+        places.sort_unstable_by(|a, b| b.after.total_cmp(&a.after).then(a.place.cmp(&b.place)));
         let elsewhere = [expected.of_elsewhere(), self.belief.of_elsewhere()];
         Grounds { places, elsewhere, thresholds }
     }
 
     /// Probability of the twins of a place, if it has any.
-    fn likeliness_of_twins(&self, place: PlaceId, clues: &BTreeMap<PlaceId, Clues>) -> f32 {
-        let Some(here) = clues.get(&place) else { return 0.0 };
+    fn likeliness_of_twins(&self, place: PlaceId, clues: &ByPlace<Clues>) -> f32 {
+        let Some(here) = clues.get(place) else { return 0.0 };
         let are_next = |other| belief::neighbours(&self.map, place).contains(&other);
-        let is_twin = |(other, there): &(&PlaceId, &Clues)| {
-            **other != place
+        let is_twin = |&(other, there): &(PlaceId, Clues)| {
+            other != place
                 && fusion::are_twins([here.inliers, there.inliers], self.beyond_doubt())
-                && !are_next(**other)
+                && !are_next(other)
         };
-        clues.iter().filter(is_twin).map(|(&other, _)| self.belief.of(other)).sum()
+        clues.iter().filter(is_twin).map(|(other, _)| self.belief.of(other)).sum()
     }
 
     /// The candidate that speaks most for the likeliest place that nothing speaks against: the CNN where it is sure,
@@ -226,7 +253,7 @@ mod tests {
         let verified = found.iter().filter(|candidate| candidate.by == Evidence::BowHv).count();
         let candidates = found.iter().cloned().collect();
         let frame = robot.frame();
-        let geometry = vec![Verification::default(); verified];
+        let geometry = (0..verified).map(|_| Verification::default()).collect();
         robot.recogniser.decide(&frame, &look, (candidates, geometry), Vec::new)
     }
 

@@ -13,7 +13,6 @@ use super::look::Look;
 use super::recogniser::Recogniser;
 use crate::cnn::Descriptor;
 use crate::place_map::{ExperienceId, MapError, PlaceId};
-use crate::verification::MatchingView;
 
 /// A place of which the first keyframe and the last are not linked, not even through others, or several are not linked
 /// to several others.
@@ -30,7 +29,6 @@ struct Shown {
     keyframe: ExperienceId,
     frame_index: u64,
     look: Look,
-    groups: Vec<u32>,
     /// How alike the CNN holds the fourth of the other places.
     rival_cosine: Option<f32>,
 }
@@ -90,9 +88,8 @@ impl Recogniser {
         let read = self.look_of(&self.map, keyframe);
         match read.and_then(|look| Ok((look, self.map.origin(keyframe)?.frame_index))) {
             Ok((look, frame_index)) => {
-                let groups = look.groups();
                 let rival_cosine = look.appearance.as_ref().and_then(|seen| self.rival_cosine(place, seen));
-                Ok(Some(Shown { keyframe, frame_index, look, groups, rival_cosine }))
+                Ok(Some(Shown { keyframe, frame_index, look, rival_cosine }))
             }
             Err(failure) if failure.is_damage() => {
                 self.leave_out(keyframe, failure);
@@ -102,13 +99,13 @@ impl Recogniser {
         }
     }
 
-    fn rival_cosine(&self, place: PlaceId, seen: &Descriptor) -> Option<f32> {
-        let named = self.appearances.query(&seen.into());
+    fn rival_cosine(&mut self, place: PlaceId, seen: &Descriptor) -> Option<f32> {
+        let named = self.appearances.query(seen);
         named.iter().filter(|candidate| candidate.place != place).nth(RIVAL - 1).map(|rival| rival.score)
     }
 
     /// Whether `one` would join the place of `other`, which was learnt before it, or was learnt in one go with it.
-    fn are_linked(&self, one: &Shown, other: &Shown) -> bool {
+    fn are_linked(&mut self, one: &Shown, other: &Shown) -> bool {
         // In the next run frames are counted anew.
         let is_near = one.keyframe.0.abs_diff(other.keyframe.0) <= self.options.place_interval;
         if is_near && one.frame_index > other.frame_index {
@@ -116,8 +113,8 @@ impl Recogniser {
         }
         let (seen, known) = (one.look.appearance.as_ref(), other.look.appearance.as_ref());
         let cosine = seen.zip(known).map(|(seen, known)| seen.cosine(known));
-        let query = MatchingView { features: &one.look.features, groups: &one.groups };
-        let geometry = self.geometry((query, one.look.light.condition), &other.look.features);
+        let geometry =
+            self.comparing(&one.look, |recogniser, query| recogniser.geometry(query, &other.look.features));
         let inliers = geometry.effective_inliers;
         let clues = Clues { cosine, rival_cosine: one.rival_cosine, inliers, rival_inliers: 0 };
         inliers >= self.options.min_inliers || clues.log_odds(self.model.as_ref()) >= SHOWN_LOG_ODDS

@@ -5,8 +5,7 @@
 //! weights are in the model's card, those of geometry alone here; both were fitted by `models/fuse.py`, which says on
 //! what.
 
-use std::collections::BTreeMap;
-
+use super::by_place::ByPlace;
 use super::candidate::{Candidate, Evidence};
 use crate::cnn::ModelCard;
 use crate::place_map::{ExperienceId, PlaceId};
@@ -71,43 +70,43 @@ impl Clues {
     }
 }
 
-/// The clues of each candidate's place. Candidates that were turned down count for nothing. `is_described` says which
-/// keyframes the CNN could have found, `are_next` which places lie next to each other along the robot's ways; from
-/// `beyond_doubt` effective inliers on a place is verified beyond doubt.
+/// Writes over `clues` those of each candidate's place. Candidates that were turned down count for nothing.
+/// `is_described` says which keyframes the CNN could have found, `are_next` which places lie next to each other along
+/// the robot's ways; from `beyond_doubt` effective inliers on a place is verified beyond doubt.
 pub(super) fn clues(
     candidates: &[Candidate],
-    model: Option<&ModelCard>,
+    (model, beyond_doubt): (Option<&ModelCard>, u32),
     is_described: impl Fn(ExperienceId) -> bool,
     are_next: impl Fn(PlaceId, PlaceId) -> bool,
-    beyond_doubt: u32,
-) -> BTreeMap<PlaceId, Clues> {
+    clues: &mut ByPlace<Clues>,
+) {
     let open = || candidates.iter().filter(|candidate| candidate.rejected.is_none());
     let by_cnn = || open().filter(|candidate| candidate.by == Evidence::Cnn);
     // What is no candidate of the CNN's is at most as alike as the last of them, and passes no threshold.
     let least = by_cnn().map(|candidate| candidate.score).reduce(f32::min);
     let least = least.zip(model).map(|(least, model)| least.min(model.decision.recognise_above.next_down()));
-    let mut clues: BTreeMap<PlaceId, Clues> = BTreeMap::new();
+    clues.clear();
     for candidate in open() {
         let cosine = match candidate.by {
             Evidence::Cnn => Some(candidate.score),
             _ => least.filter(|_| is_described(candidate.keyframe)),
         };
-        let known = clues.entry(candidate.place).or_default();
+        let known = clues.entry(candidate.place, Clues::default());
         known.cosine = [known.cosine, cosine].into_iter().flatten().reduce(f32::max);
         known.inliers = known.inliers.max(candidate.inliers.unwrap_or_default());
     }
-    let inliers: Vec<(PlaceId, u32)> = clues.iter().map(|(&place, clues)| (place, clues.inliers)).collect();
-    for (&place, clues) in &mut clues {
+    for position in 0..clues.len() {
+        let (place, &mut Clues { inliers, .. }) = clues.at_mut(position);
+        let is_rival = |&(other, found): &(PlaceId, Clues)| {
+            other != place && !are_twins([inliers, found.inliers], beyond_doubt) && !are_next(place, other)
+        };
+        let rival_inliers = clues.iter().filter(is_rival).map(|(_, found)| found.inliers).max();
         // They come best first, one a place.
         let mut others = by_cnn().filter(|candidate| candidate.place != place);
-        clues.rival_cosine = others.nth(RIVAL - 1).map(|candidate| candidate.score);
-        let is_rival = |&&(other, found): &&(PlaceId, u32)| {
-            other != place && !are_twins([clues.inliers, found], beyond_doubt) && !are_next(place, other)
-        };
-        clues.rival_inliers =
-            inliers.iter().filter(is_rival).map(|&(_, found)| found).max().unwrap_or_default();
+        let rival_cosine = others.nth(RIVAL - 1).map(|candidate| candidate.score);
+        let (_, clues) = clues.at_mut(position);
+        (clues.rival_cosine, clues.rival_inliers) = (rival_cosine, rival_inliers.unwrap_or_default());
     }
-    clues
 }
 
 /// Whether a frame shows two places with so many inliers beyond doubt, and neither much better. It may be one place
@@ -139,6 +138,18 @@ mod tests {
         Candidate { place, keyframe, by, score, votes: None, inliers, probability: 0.0, rejected: None }
     }
 
+    /// The clues of each candidate's place, where 16 inliers are beyond doubt.
+    fn found_of(
+        candidates: &[Candidate],
+        model: Option<&ModelCard>,
+        is_described: impl Fn(ExperienceId) -> bool,
+        are_next: impl Fn(PlaceId, PlaceId) -> bool,
+    ) -> ByPlace<Clues> {
+        let mut found = ByPlace::default();
+        clues(candidates, (model, 16), is_described, are_next, &mut found);
+        found
+    }
+
     fn together(cosine: f32, rival: f32, inliers: u32) -> Clues {
         Clues { cosine: Some(cosine), rival_cosine: Some(rival), inliers, rival_inliers: 0 }
     }
@@ -168,12 +179,12 @@ mod tests {
         let rejected = Some(crate::recognition::Rejection::WithinPlaceInterval);
         let left = Candidate { rejected, ..candidate(4, Evidence::Cnn, 0.9, None) };
         let found = [here, elsewhere, left, verified, unknown];
-        let clues = clues(&found, Some(&card()), |_| true, |a, b| a.0 + b.0 == 3, 16);
-        let of = |place| clues[&PlaceId(place)];
+        let clues = found_of(&found, Some(&card()), |_| true, |a, b| a.0 + b.0 == 3);
+        let of = |place| clues.get(PlaceId(place)).unwrap();
         assert_eq!((of(1).cosine, of(1).inliers, of(1).rival_inliers), (Some(0.7), 20, 5), "2 is next to it");
         assert_eq!((of(2).cosine, of(2).inliers, of(2).rival_inliers), (Some(0.6), 0, 5));
         assert_eq!((of(3).cosine, of(3).inliers, of(3).rival_inliers), (Some(0.6), 5, 20));
-        assert!(!clues.contains_key(&PlaceId(4)));
+        assert_eq!(clues.get(PlaceId(4)), None);
     }
 
     #[test]
@@ -182,8 +193,8 @@ mod tests {
         let named = candidate(1, Evidence::Cnn, 0.9, None);
         let other = candidate(2, Evidence::BowHv, 0.1, Some(0));
         let of = |is_described: bool| {
-            clues(&[named.clone(), other.clone()], Some(&card()), |_| is_described, |_, _| false, 16)
-                [&PlaceId(2)]
+            let found = [named.clone(), other.clone()];
+            found_of(&found, Some(&card()), |_| is_described, |_, _| false).get(PlaceId(2)).unwrap()
         };
         assert_eq!(
             (of(true).cosine, of(false).cosine),
@@ -197,7 +208,8 @@ mod tests {
         let named: Vec<Candidate> =
             (0..6).map(|i| candidate(i, Evidence::Cnn, 0.9 - 0.1 * i as f32, None)).collect();
         let rival = |named: &[Candidate], place| {
-            clues(named, Some(&card()), |_| true, |_, _| false, 16)[&PlaceId(place)].rival_cosine
+            let clues = found_of(named, Some(&card()), |_| true, |_, _| false);
+            clues.get(PlaceId(place)).unwrap().rival_cosine
         };
         assert_eq!((rival(&named, 0), rival(&named, 5)), (Some(named[4].score), Some(named[3].score)));
         assert_eq!(rival(&named[..4], 0), None, "too few to tell");
@@ -209,8 +221,8 @@ mod tests {
         let rivals = |here: u32, there: u32| {
             let found =
                 [(1, here), (2, there)].map(|(place, n)| candidate(place, Evidence::BowHv, 0.1, Some(n)));
-            let clues = clues(&found, None, |_| false, |_, _| false, 16);
-            [1, 2].map(|place| clues[&PlaceId(place)].rival_inliers)
+            let clues = found_of(&found, None, |_| false, |_, _| false);
+            [1, 2].map(|place| clues.get(PlaceId(place)).unwrap().rival_inliers)
         };
         assert_eq!(rivals(20, 20), [0, 0]);
         assert_eq!(rivals(20, 39), [0, 0]);

@@ -11,7 +11,9 @@
 
 use std::collections::BTreeMap;
 
-use super::candidate::{Candidates, Evidence};
+use heapless::Vec as FixedVec;
+
+use super::candidate::{Candidates, Evidence, MAX_CANDIDATES};
 use super::recogniser::Recogniser;
 use crate::place_map::{MapError, PlaceId};
 
@@ -179,7 +181,7 @@ impl Recogniser {
         }
     }
 
-    fn compared(&self, candidates: &Candidates) -> Vec<Compared> {
+    fn compared(&self, candidates: &Candidates) -> FixedVec<Compared, { 2 * MAX_CANDIDATES }> {
         let by_geometry = candidates.iter().filter(|candidate| candidate.by == Evidence::BowHv);
         let compared = by_geometry.filter_map(|candidate| {
             let inliers = candidate.inliers?;

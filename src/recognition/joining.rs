@@ -28,7 +28,6 @@ use super::look::Look;
 use super::recogniser::Recogniser;
 use crate::cnn;
 use crate::place_map::{ExperienceId, MapError, PlaceId, PlaceMap};
-use crate::verification::MatchingView;
 use crate::vocabulary::Light;
 
 /// A place of another map that is a place of this one, and what says so.
@@ -135,18 +134,18 @@ impl Recogniser {
 
     /// The match with most inliers, the strong ones first. Geometry is asked of what the CNN is sure of, too.
     fn best_match(&mut self, look: &Look) -> Option<Match> {
-        let groups = look.groups();
-        let query = MatchingView { features: &look.features, groups: &groups };
-        let mut matches = Vec::new();
-        for candidate in &self.retrieve(look) {
-            if candidate.rejected.is_some()
-                || candidate.by == Evidence::Cnn && !self.is_known_by_cnn(candidate)
-            {
-                continue;
-            }
-            let verification = self.verify_keyframe((query, look.light.condition), candidate.keyframe);
-            matches.extend(judged(candidate, verification.effective_inliers, self.options.min_inliers));
-        }
+        let mut candidates = self.retrieve(look);
+        candidates.retain(|candidate| {
+            candidate.rejected.is_none() && (candidate.by != Evidence::Cnn || self.is_known_by_cnn(candidate))
+        });
+        let min_inliers = self.options.min_inliers;
+        let matches: Vec<Match> = self.comparing(look, |recogniser, query| {
+            let matched = candidates.iter().filter_map(|candidate| {
+                let verification = recogniser.verify_keyframe(query, candidate.keyframe);
+                judged(candidate, verification.effective_inliers, min_inliers)
+            });
+            matched.collect()
+        });
         // The CNN's candidates come first: of equal ones they say more.
         matches.into_iter().rev().max_by_key(|found| (found.is_strong, found.inliers))
     }

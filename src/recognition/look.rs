@@ -37,7 +37,7 @@ impl Look {
     }
 
     /// The node under which each feature is compared.
-    pub(super) fn groups(&self) -> Vec<u32> {
-        self.quantised.iter().map(|quantised| quantised.node.0).collect()
+    pub(super) fn groups(&self) -> impl Iterator<Item = u32> {
+        self.quantised.iter().map(|quantised| quantised.node.0)
     }
 }

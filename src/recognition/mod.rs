@@ -10,7 +10,9 @@
 
 mod appearance;
 mod belief;
+mod by_place;
 mod candidate;
+mod comparison;
 mod decision;
 mod drift;
 mod fusion;
@@ -25,12 +27,13 @@ mod recogniser;
 mod renewal;
 #[cfg(test)]
 mod sequence_tests;
+mod spare;
 mod visits;
 mod working_set;
 #[cfg(test)]
 mod world_for_tests;
 
-pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
+pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection, Verifications};
 pub use drift::Drift;
 pub use fusion::Clues;
 pub use grounds::{Grounds, PlaceGrounds, Thresholds};
@@ -39,6 +42,8 @@ pub use look::Look;
 pub use options::RecognitionOptions;
 pub use recogniser::Recogniser;
 pub use renewal::{Exhibit, Walk};
+
+use std::sync::Arc;
 
 use crate::place_map::{ExperienceId, PlaceId};
 use crate::verification::Verification;
@@ -82,7 +87,7 @@ pub struct Recognition {
     /// The place, unless unknown.
     pub place: Option<PlaceId>,
     /// The place's name, if it has one.
-    pub name: Option<String>,
+    pub name: Option<Arc<str>>,
     /// The keyframe that was matched, or that a new place was founded with.
     pub keyframe: Option<ExperienceId>,
     /// What the frame became in the map, unless that learnt nothing from it.

@@ -2,24 +2,26 @@
 
 use std::sync::Arc;
 
+use heapless::Vec as FixedVec;
+
 use super::appearance::AppearanceIndex;
 use super::belief::Belief;
-use super::candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection};
-use super::decision::SHOWN_LOG_ODDS;
+use super::candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection, Verifications};
+use super::comparison::Comparer;
+use super::decision::{SHOWN_LOG_ODDS, Weighed};
 use super::identity::Identities;
 use super::keyframe_index::KeyframeIndex;
 use super::look::Look;
 use super::options::RecognitionOptions;
 use super::renewal::Renewals;
+use super::spare::Spare;
 use super::visits::Visits;
 use super::working_set::WorkingSet;
 use super::{Decision, Recognition};
 use crate::cnn;
-use crate::feature::Features;
 use crate::frame::Frame;
-use crate::place_map::{ExperienceId, Learnt, MapError, PlaceMap};
-use crate::verification::{MatchingView, Verification, verify};
-use crate::vocabulary::{ConditionId, VocabularySet};
+use crate::place_map::{Learnt, MapError, PlaceMap};
+use crate::vocabulary::VocabularySet;
 
 /// Recognises places and grows the map.
 pub struct Recogniser {
@@ -32,6 +34,9 @@ pub struct Recogniser {
     pub(super) working_set: WorkingSet,
     pub(super) identities: Identities,
     pub(super) renewals: Renewals,
+    pub(super) comparer: Comparer,
+    pub(super) weighed: Weighed,
+    pub(super) spare: Spare,
     /// Where the robot is.
     pub(super) belief: Belief,
     /// Whether the frame before showed a known place; never where every frame counts by itself.
@@ -64,6 +69,9 @@ impl Recogniser {
             map,
             appearances: AppearanceIndex::default(),
             renewals: Renewals::default(),
+            comparer: Comparer::default(),
+            weighed: Weighed::default(),
+            spare: Spare::default(),
             belief: Belief::default(),
             has_shown: false,
             was_poor: false,
@@ -155,7 +163,7 @@ impl Recogniser {
     pub fn retrieve(&mut self, look: &Look) -> Candidates {
         let mut candidates = Candidates::new();
         if let (Some(_), Some(descriptor)) = (&self.model, &look.appearance) {
-            for mut candidate in self.appearances.query(&descriptor.into()) {
+            for mut candidate in self.appearances.query(descriptor) {
                 let is_here = self.visits.founded_within_interval() == Some(candidate.place);
                 candidate.rejected = is_here.then_some(Rejection::WithinPlaceInterval);
                 let _ = candidates.push(candidate);
@@ -165,8 +173,8 @@ impl Recogniser {
         candidates
     }
 
-    fn retrieve_by_words(&mut self, look: &Look) -> Vec<Candidate> {
-        let mut candidates: Vec<Candidate> = Vec::with_capacity(MAX_CANDIDATES);
+    fn retrieve_by_words(&mut self, look: &Look) -> FixedVec<Candidate, MAX_CANDIDATES> {
+        let mut candidates: FixedVec<Candidate, MAX_CANDIDATES> = FixedVec::new();
         for keyframe in self.keyframes.query(look, self.visits.founded_within_interval()) {
             // Of a place that was merged from two, each half is asked: they may turn out to be two.
             let learnt_as = |id| self.map.experience(id).map(|experience| experience.learnt_as);
@@ -174,10 +182,11 @@ impl Recogniser {
             let is_known = candidates
                 .iter()
                 .any(|known| known.place == keyframe.place && learnt_as(known.keyframe) == half);
-            if is_known || candidates.len() == MAX_CANDIDATES {
+            if is_known {
                 continue;
             }
-            candidates.push(Candidate {
+            // Those that there is no room for are the worst.
+            let _ = candidates.push(Candidate {
                 place: keyframe.place,
                 keyframe: keyframe.experience,
                 by: Evidence::BowHv,
@@ -191,61 +200,22 @@ impl Recogniser {
         candidates
     }
 
-    /// Verifies the candidates that share visual words; answers the geometry of each, in their order.
-    pub fn verify(&mut self, look: &Look, candidates: &mut Candidates) -> Vec<Verification> {
-        let groups = look.groups();
-        let query = MatchingView { features: &look.features, groups: &groups };
-        let by_words = candidates.iter_mut().filter(|candidate| candidate.by == Evidence::BowHv);
-        let verified = by_words.map(|candidate| {
-            let verification = self.verify_keyframe((query, look.light.condition), candidate.keyframe);
-            candidate.votes = Some(verification.votes);
-            candidate.inliers = Some(verification.effective_inliers);
-            verification
-        });
-        verified.collect()
-    }
-
-    /// A keyframe that cannot be read matches nothing, and is not asked again: its failure is said once.
-    pub(super) fn verify_keyframe(
-        &mut self,
-        (query, condition): (MatchingView<'_>, ConditionId),
-        keyframe: ExperienceId,
-    ) -> Verification {
-        match self.map.features(keyframe) {
-            Ok(features) => self.geometry((query, condition), &features),
-            Err(failure) => {
-                self.keyframes.remove(keyframe);
-                self.leave_out(keyframe, failure);
-                Verification::default()
-            }
-        }
-    }
-
-    /// The geometry between a query seen in a light and the features of a keyframe.
-    pub(super) fn geometry(
-        &self,
-        (query, condition): (MatchingView<'_>, ConditionId),
-        keyframe: &Features,
-    ) -> Verification {
-        let groups = self.vocabularies().vocabulary(condition).groups(&keyframe.descriptors);
-        verify(query, MatchingView { features: keyframe, groups: &groups }, &self.options.verification)
-    }
-
     /// Decides from candidates and the [geometry](Self::verify) of those that have one, and adds to the map what was
     /// learnt. `thumbnail_jpeg` is asked for only if the frame is stored.
     pub fn decide(
         &mut self,
         frame: &Frame,
         look: &Look,
-        (mut candidates, verifications): (Candidates, Vec<Verification>),
+        (mut candidates, mut verifications): (Candidates, Verifications),
         thumbnail_jpeg: impl FnOnce() -> Vec<u8>,
     ) -> Recognition {
         let grounds = self.weigh_candidates(&mut candidates);
         let chosen = self.chosen(&candidates);
-        let by_words = candidates.iter().filter(|candidate| candidate.by == Evidence::BowHv);
-        let mut verified = by_words.zip(verifications);
-        let verification = verified.find(|(candidate, _)| Some(*candidate) == chosen.as_ref());
-        let verification = verification.map(|(_, verification)| verification);
+        let mut by_words = candidates.iter().filter(|candidate| candidate.by == Evidence::BowHv);
+        let position = by_words.position(|candidate| Some(candidate) == chosen.as_ref());
+        let verification = position.filter(|&position| position < verifications.len());
+        let verification = verification.map(|position| verifications.swap_remove(position));
+        self.spare.take_verifications(verifications);
         if let Some(chosen) = &chosen {
             self.mark_outdone(&mut candidates, chosen);
         }
@@ -299,6 +269,12 @@ impl Recogniser {
                 }
             }
         }
+    }
+
+    /// Takes an answer that nobody needs any more: the next one is written into its memory. So, of a stream in which
+    /// nothing is new, the frames take none.
+    pub fn reuse(&mut self, answer: Recognition) {
+        self.spare.take(answer);
     }
 
     /// From now on the robot may be anywhere: what comes next has nothing to do with what was seen before.

@@ -238,8 +238,12 @@ impl Recogniser {
         if self.options.read_only || self.renewals.before.is_some() || self.renewals.is_map_full {
             return;
         }
-        let Some(model) = self.model.as_ref().map(|model| model.sha256.clone()) else { return };
-        let Some(renewed) = self.renewals.by_model.get(&model) else { return };
+        let in_use = self.model.as_ref().map(|model| &model.sha256);
+        let Some((model, renewed)) = in_use.and_then(|model| self.renewals.by_model.get_key_value(model))
+        else {
+            return;
+        };
+        let model = model.clone();
         let appearance =
             |renewed: &Renewed| Appearance { model: model.clone(), descriptor: renewed.descriptor.clone() };
         let next = renewed.iter().take(STORED_AT_ONCE).map(|(&id, renewed)| (id, appearance(renewed)));

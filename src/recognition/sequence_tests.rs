@@ -111,7 +111,7 @@ fn seen(robot: &mut Robot, found: &[(u32, u32)]) -> Recognition {
     let by_words = found.iter().map(|&(place, inliers)| of(place, Evidence::BowHv, 0.1, Some(inliers)));
     let look = Look { appearance: Some(appearance(12)), ..Look::default() };
     let frame = robot.frame();
-    let geometry = vec![Verification::default(); found.len()];
+    let geometry = found.iter().map(|_| Verification::default()).collect();
     robot.recogniser.decide(&frame, &look, (by_cnn.chain(by_words).collect(), geometry), Vec::new)
 }
 

@@ -6,6 +6,7 @@
 //! have been carried to where everything waits, so it looks through what waits, a few places with every frame.
 
 use std::collections::{BTreeSet, HashMap};
+use std::mem;
 
 use super::keyframe_index::KeyframeIndex;
 use super::recogniser::Recogniser;
@@ -20,11 +21,10 @@ const ROOM_MADE: f64 = 0.9;
 /// Share of the memory that the keyframes may have even where places and experiences alone take more than the rest.
 const LEAST_SHARE: f64 = 0.25;
 
-/// The places of the working set in the order in which they were last seen.
+/// The places of the working set, and when each was last seen.
 pub(super) struct WorkingSet {
     latest_turn: u64,
     turns: HashMap<PlaceId, u64>,
-    by_turn: BTreeSet<(u64, PlaceId)>,
     /// Places that memory has no room for.
     waiting: BTreeSet<PlaceId>,
     /// Where to look next when the robot is lost.
@@ -33,6 +33,8 @@ pub(super) struct WorkingSet {
     unreadable: BTreeSet<ExperienceId>,
     /// Those of them that are damaged and of which nobody heard yet.
     unheard: Option<Unreadable>,
+    /// The places near the one that was seen last; the memory serves the next one.
+    near: Vec<PlaceId>,
 }
 
 impl Default for WorkingSet {
@@ -40,11 +42,11 @@ impl Default for WorkingSet {
         Self {
             latest_turn: 0,
             turns: HashMap::new(),
-            by_turn: BTreeSet::new(),
             waiting: BTreeSet::new(),
             next_searched: PlaceId(0),
             unreadable: BTreeSet::new(),
             unheard: None,
+            near: Vec::new(),
         }
     }
 }
@@ -71,27 +73,30 @@ impl WorkingSet {
     /// Puts `place` last in the order, as if it had just been seen.
     fn touch(&mut self, place: PlaceId) {
         self.latest_turn += 1;
-        if let Some(before) = self.turns.insert(place, self.latest_turn) {
-            self.by_turn.remove(&(before, place));
-        }
-        self.by_turn.insert((self.latest_turn, place));
+        self.turns.insert(place, self.latest_turn);
         self.waiting.remove(&place);
     }
 
     /// The place is no more: it was merged into another one.
     pub(super) fn remove(&mut self, place: PlaceId) {
         self.waiting.remove(&place);
-        if let Some(turn) = self.turns.remove(&place) {
-            self.by_turn.remove(&(turn, place));
-        }
+        self.turns.remove(&place);
     }
 
-    /// Takes out the place that was not seen for longest, unless it is the only one.
-    fn pop_oldest(&mut self) -> Option<PlaceId> {
-        let (_, place) = (self.len() > 1).then(|| self.by_turn.pop_first()).flatten()?;
+    /// The places but for the one that was seen last, those first that were not seen for longest. They are put in order
+    /// only now, for room is made seldom and places are seen with every frame.
+    fn oldest_first(&self) -> Vec<PlaceId> {
+        let mut by_turn: Vec<(u64, PlaceId)> =
+            self.turns.iter().map(|(&place, &turn)| (turn, place)).collect();
+        by_turn.sort_unstable();
+        by_turn.pop();
+        by_turn.into_iter().map(|(_, place)| place).collect()
+    }
+
+    /// Takes out a place: it waits from now on.
+    fn put_away(&mut self, place: PlaceId) {
         self.turns.remove(&place);
         self.waiting.insert(place);
-        Some(place)
     }
 
     /// The next few of the places that wait, going round.
@@ -147,17 +152,21 @@ impl Recogniser {
 
     /// The robot is at `place`: fetches what is near, and makes room by putting away what was not seen for longest.
     pub(super) fn stay_near(&mut self, place: PlaceId) -> Result<(), MapError> {
-        let near = self.near(place);
+        // Taken, so that the recogniser can be asked meanwhile.
+        let mut near = mem::take(&mut self.working_set.near);
+        self.find_near(place, &mut near);
         let waiting: Vec<PlaceId> =
             near.iter().copied().filter(|&place| !self.working_set.contains(place)).collect();
         let (fetched, left) = waiting.split_at(waiting.len().min(FETCHED_AT_ONCE));
-        fetched.iter().try_for_each(|&place| self.take_in(place))?;
-        // The nearest comes last in turn, so that it is put away last.
-        for &place in near.iter().rev().filter(|place| !left.contains(place)) {
-            self.working_set.touch(place);
+        let fetched = fetched.iter().try_for_each(|&place| self.take_in(place));
+        if fetched.is_ok() {
+            // The nearest comes last in turn, so that it is put away last.
+            let seen = near.iter().rev().filter(|place| !left.contains(place));
+            seen.for_each(|&place| self.working_set.touch(place));
+            self.make_room();
         }
-        self.make_room();
-        Ok(())
+        self.working_set.near = near;
+        fetched
     }
 
     /// The robot recognises nothing: fetches the next few of the places that wait.
@@ -170,16 +179,17 @@ impl Recogniser {
         Ok(())
     }
 
-    /// `place` and those within a few steps of it along the way, nearest first.
-    fn near(&self, place: PlaceId) -> Vec<PlaceId> {
-        let mut near: Vec<PlaceId> = self.map.place(place).map(|place| place.id).into_iter().collect();
+    /// Writes over what is in `near` `place` and those within a few steps of it along the way, nearest first.
+    fn find_near(&self, place: PlaceId, near: &mut Vec<PlaceId>) {
+        near.clear();
+        near.extend(self.map.place(place).map(|place| place.id));
         let mut from = 0;
         for _ in 0..FETCHED_STEPS {
             let to = near.len();
             for index in from..to {
                 let neighbours = self.map.place(near[index]).map_or(&[][..], |place| &place.neighbours);
                 let resolved = neighbours.iter().filter_map(|&id| self.map.place(id)).map(|place| place.id);
-                for neighbour in resolved.collect::<Vec<_>>() {
+                for neighbour in resolved {
                     if !near.contains(&neighbour) {
                         near.push(neighbour);
                     }
@@ -187,7 +197,6 @@ impl Recogniser {
             }
             from = to;
         }
-        near
     }
 
     fn make_room(&mut self) {
@@ -196,8 +205,11 @@ impl Recogniser {
             return;
         }
         let enough_bytes = (ROOM_MADE * budget_bytes as f64) as usize;
-        while self.index_bytes() > enough_bytes {
-            let Some(place) = self.working_set.pop_oldest() else { break };
+        for place in self.working_set.oldest_first() {
+            if self.index_bytes() <= enough_bytes {
+                break;
+            }
+            self.working_set.put_away(place);
             self.keyframes_of(place).into_iter().for_each(|keyframe| self.forget(keyframe));
         }
         self.keyframes.sweep();

@@ -26,12 +26,17 @@ impl BowVector {
     /// The vector of an image that shows `words`, weighted as `vocabulary` says.
     #[must_use]
     pub fn new(words: impl IntoIterator<Item = WordId>, vocabulary: &Vocabulary) -> Self {
-        let mut words: Vec<WordId> = words.into_iter().collect();
+        let (mut words, mut bow): (Vec<WordId>, _) = (words.into_iter().collect(), Self::default());
+        bow.fill(&mut words, vocabulary);
+        bow
+    }
+
+    /// From now on the vector of an image that shows `words`, which are put in order, weighted as `vocabulary` says.
+    pub fn fill(&mut self, words: &mut [WordId], vocabulary: &Vocabulary) {
         // Sorted without their weights, which then are read in the order in which they lie.
         words.sort_unstable();
         let weights = vocabulary.weights();
-        let words = words.into_iter().map(|word| (word, weights.of(word)));
-        Self::weighted(words, vocabulary.weighting())
+        self.fill_weighted(words.iter().map(|&word| (word, weights.of(word))), vocabulary.weighting());
     }
 
     /// The vector of an image that shows words, each with its weight. Words that weigh nothing,
@@ -41,25 +46,37 @@ impl BowVector {
     /// the last bit (for its scorings L1, χ², KL and Bhattacharyya, which all want vectors of L1 length 1).
     #[must_use]
     pub fn weighted(words: impl IntoIterator<Item = (WordId, f64)>, weighting: Weighting) -> Self {
-        let mut words: Vec<(WordId, f64)> = words.into_iter().collect();
-        words.sort_unstable_by_key(|word| word.0);
-        let mut entries = Vec::with_capacity(words.len());
-        let mut repetitions = Vec::with_capacity(words.len());
-        for run in words.chunk_by(|a, b| a.0 == b.0) {
-            let (word, weight) = run[0];
-            let counted = if weighting.counts_repetitions() { run.len() } else { 1 };
+        let mut bow = Self::default();
+        bow.fill_weighted(words, weighting);
+        bow
+    }
+
+    /// From now on the vector that [`weighted`](Self::weighted) makes.
+    pub fn fill_weighted(&mut self, words: impl IntoIterator<Item = (WordId, f64)>, weighting: Weighting) {
+        let Self { entries, repetitions, length } = self;
+        entries.clear();
+        entries.extend(words);
+        entries.sort_unstable_by_key(|word| word.0);
+        repetitions.clear();
+        // Every run of a word is written as one entry, not behind where it was read.
+        let (mut from, mut kept) = (0, 0);
+        while let Some(&(word, weight)) = entries.get(from) {
+            let run = entries[from..].iter().take_while(|entry| entry.0 == word).count();
+            from += run;
+            let counted = if weighting.counts_repetitions() { run } else { 1 };
             // A sum, not a product: the rounding differs.
             let value = (1..counted).fold(weight, |sum, _| sum + weight);
             if value > 0.0 {
-                entries.push((word, value));
+                entries[kept] = (word, value);
+                kept += 1;
                 repetitions.push(u16::try_from(counted).unwrap_or(u16::MAX));
             }
         }
-        let length: f64 = entries.iter().map(|entry| entry.1).sum();
-        for (_, weight) in &mut entries {
-            *weight /= length;
+        entries.truncate(kept);
+        *length = entries.iter().map(|entry| entry.1).sum();
+        for (_, weight) in entries {
+            *weight /= *length;
         }
-        Self { entries, repetitions, length }
     }
 
     /// Words with their weights, sorted by word.

@@ -213,7 +213,7 @@ mod tests {
             decision: Decision::Recognised,
             by: Some(Evidence::Cnn),
             place: Some(PlaceId(17)),
-            name: Some("dock 3".to_owned()),
+            name: Some("dock 3".into()),
             keyframe: Some(ExperienceId(233)),
             experience: Some(ExperienceId(412)),
             confidence: 0.993,

@@ -142,7 +142,8 @@ impl Clusters {
             let (learnt, held_out) = samples.split_at(border(&samples, rules.held_out_share));
             let (learnt, held_out) = (learnt.to_vec(), held_out.to_vec());
             let neighbours = ways.next_to(place.id).collect();
-            Class { map: index, place: place.id, name: place.name.clone(), neighbours, learnt, held_out }
+            let name = place.name.as_deref().map(str::to_owned);
+            Class { map: index, place: place.id, name, neighbours, learnt, held_out }
         }));
         Ok(())
     }

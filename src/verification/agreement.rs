@@ -1,6 +1,7 @@
 //! Which correspondences agree with a transform: tested side by side, several at once.
 
 use std::f32::consts::PI;
+use std::mem;
 
 use super::{Correspondence, VerificationOptions};
 use crate::geometry::{Affine, Similarity};
@@ -15,6 +16,8 @@ pub(super) struct Columns {
     turn: [Vec<f32>; 2],
     /// By how much each is larger in the keyframe.
     growth: Vec<f32>,
+    /// 1 for each that agrees with the transform that was asked about last, else 0.
+    agree: Vec<u8>,
 }
 
 /// What agrees with a transform.
@@ -30,30 +33,39 @@ struct Limits {
 }
 
 impl Columns {
-    /// Of `pairs`, each of which alone speaks for one of the `transforms`.
-    pub(super) fn new(pairs: &[Correspondence], transforms: &[Similarity]) -> Self {
-        let of_pairs = |value: fn(&Correspondence) -> f32| pairs.iter().map(value).collect();
-        let (sines, cosines) = transforms.iter().map(|t| t.rotation_radians.sin_cos()).unzip();
-        Self {
-            query: [of_pairs(|pair| pair.query_point.point.x), of_pairs(|pair| pair.query_point.point.y)],
-            keyframe: [
-                of_pairs(|pair| pair.keyframe_point.point.x),
-                of_pairs(|pair| pair.keyframe_point.point.y),
-            ],
-            turn: [cosines, sines],
-            growth: transforms.iter().map(|transform| transform.scale).collect(),
+    /// From now on those of `pairs`, each of which alone speaks for one of the `transforms`.
+    pub(super) fn fill(&mut self, pairs: &[Correspondence], transforms: &[Similarity]) {
+        let write = |column: &mut Vec<f32>, value: fn(&Correspondence) -> f32| {
+            column.clear();
+            column.extend(pairs.iter().map(value));
+        };
+        let Self { query: [query_x, query_y], keyframe: [keyframe_x, keyframe_y], .. } = self;
+        write(query_x, |pair| pair.query_point.point.x);
+        write(query_y, |pair| pair.query_point.point.y);
+        write(keyframe_x, |pair| pair.keyframe_point.point.x);
+        write(keyframe_y, |pair| pair.keyframe_point.point.y);
+        let [cosines, sines] = &mut self.turn;
+        cosines.clear();
+        sines.clear();
+        self.growth.clear();
+        for transform in transforms {
+            let (sine, cosine) = transform.rotation_radians.sin_cos();
+            cosines.push(cosine);
+            sines.push(sine);
+            self.growth.push(transform.scale);
         }
     }
 
-    /// The pairs that turn and grow as the transform does and whose transfer errors, to the keyframe and back, stay
-    /// within `tolerances_px`.
+    /// Writes over `inliers` the pairs that turn and grow as the transform does and whose transfer errors, to the
+    /// keyframe and back, stay within `tolerances_px`.
     pub(super) fn inliers(
-        &self,
+        &mut self,
         keyframe_from_query: &Affine,
-        tolerances_px: [f32; 2],
-        options: &VerificationOptions,
-    ) -> Vec<u32> {
-        let Some(query_from_keyframe) = keyframe_from_query.inverse() else { return Vec::new() };
+        (tolerances_px, options): ([f32; 2], &VerificationOptions),
+        inliers: &mut Vec<u32>,
+    ) {
+        inliers.clear();
+        let Some(query_from_keyframe) = keyframe_from_query.inverse() else { return };
         let growth = keyframe_from_query.growth();
         let (sine, cosine) = keyframe_from_query.rotation_radians().sin_cos();
         let limits = Limits {
@@ -65,17 +77,18 @@ impl Columns {
             min_turn_cosine: min_cosine(options.max_turn_radians),
             growths: [growth / options.max_growth_ratio, growth * options.max_growth_ratio],
         };
-        let mut agree = vec![0; self.growth.len()];
+        let mut agree = mem::take(&mut self.agree);
+        agree.resize(self.growth.len(), 0);
         compare(self, &limits, &mut agree);
         // Most do not agree, and which do cannot be foreseen: every index is written, and some are kept.
-        let mut inliers = vec![0; agree.len()];
+        inliers.resize(agree.len(), 0);
         let mut count = 0;
         for (index, &agrees) in (0..).zip(&agree) {
             inliers[count] = index;
             count += usize::from(agrees);
         }
         inliers.truncate(count);
-        inliers
+        self.agree = agree;
     }
 }
 
@@ -132,6 +145,18 @@ mod tests {
         )
     }
 
+    /// Of pairs that each speak for one of the transforms, those that agree with one.
+    fn inliers(
+        pairs: &[Correspondence],
+        transforms: &[Similarity],
+        (transform, tolerances_px, options): (&Affine, [f32; 2], &VerificationOptions),
+    ) -> Vec<u32> {
+        let (mut columns, mut inliers) = (Columns::default(), Vec::new());
+        columns.fill(pairs, transforms);
+        columns.inliers(transform, (tolerances_px, options), &mut inliers);
+        inliers
+    }
+
     /// How far each limit is from being reached, as a share of it; negative where it is exceeded.
     fn margins(
         pair: &Correspondence,
@@ -168,8 +193,7 @@ mod tests {
             };
             let pairs: Vec<Correspondence> = points.iter().map(pair).collect();
             let transforms: Vec<Similarity> = pairs.iter().map(Correspondence::transform).collect();
-            let columns = Columns::new(&pairs, &transforms);
-            let found = columns.inliers(&affine, tolerances_px, &options);
+            let found = inliers(&pairs, &transforms, (&affine, tolerances_px, &options));
             for (index, pair) in (0..).zip(&pairs) {
                 let least = margins(pair, &affine, tolerances_px, &options).into_iter().fold(1.0, f32::min);
                 // At a limit, rounding decides.
@@ -189,11 +213,11 @@ mod tests {
             query_point: point(0.0),
             keyframe_point: point(angle_radians),
         });
-        let columns = Columns::new(&pairs, &pairs.each_ref().map(|pair| pair.transform()));
+        let transforms = pairs.each_ref().map(|pair| pair.transform());
         let same = Affine { linear: [1.0, 0.0, 0.0, 1.0], translation: Point::default() };
         for (max_turn_radians, expected) in [(0.1, 1), (1.5, 2), (3.05, 4), (PI, 5), (7.0, 5)] {
             let options = VerificationOptions { max_turn_radians, ..VerificationOptions::default() };
-            let found = columns.inliers(&same, [1.0; 2], &options);
+            let found = inliers(&pairs, &transforms, (&same, [1.0; 2], &options));
             assert_eq!(found.len(), expected, "{max_turn_radians}");
         }
     }
@@ -212,7 +236,8 @@ mod tests {
             })
             .collect();
         let transforms: Vec<Similarity> = pairs.iter().map(Correspondence::transform).collect();
-        let columns = Columns::new(&pairs, &transforms);
+        let mut columns = Columns::default();
+        columns.fill(&pairs, &transforms);
         let same = coefficients(&Affine { linear: [1.0, 0.0, 0.0, 1.0], translation: Point::default() });
         let limits = Limits {
             keyframe_from_query: same,

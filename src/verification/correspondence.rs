@@ -54,59 +54,76 @@ impl Default for MatchingOptions {
     }
 }
 
-/// The one-to-one correspondences from `query` to `keyframe`, in the order of the query's features.
-#[must_use]
-pub fn correspondences(
-    query: MatchingView<'_>,
-    keyframe: MatchingView<'_>,
-    options: &MatchingOptions,
-) -> Vec<Correspondence> {
-    let keyframe_order = by_group(keyframe.groups);
-    let query_order = by_group(query.groups);
-    let mut pairs = Vec::new();
-    for run in query_order.chunk_by(|&a, &b| query.groups[a as usize] == query.groups[b as usize]) {
-        let group = query.groups[run[0] as usize];
-        let candidates = run_of(&keyframe_order, keyframe.groups, group);
-        pairs.extend(run.iter().filter_map(|&index| {
-            let descriptor = &query.features.descriptors[index as usize];
-            let found = distinctive_nearest(descriptor, candidates, keyframe.features, options)?;
-            // The nearest the other way must lead back.
-            let found_descriptor = &keyframe.features.descriptors[found as usize];
-            let back = distinctive_nearest(found_descriptor, run, query.features, options)?;
-            (back == index).then_some((index, found))
+/// Pairs the features of two images after those of two others, and keeps its memory.
+#[derive(Debug, Default)]
+pub(super) struct Matcher {
+    query_order: Vec<Member>,
+    keyframe_order: Vec<Member>,
+    pairs: Vec<(u32, u32)>,
+}
+
+/// A feature of a group: first the number of the group, so that those of one stand side by side when they are sorted,
+/// then that of the feature.
+type Member = (u32, u32);
+
+impl Matcher {
+    /// Writes the one-to-one correspondences from `query` to `keyframe` over what is in `found`, in the order of the
+    /// query's features.
+    pub(super) fn pair(
+        &mut self,
+        (query, keyframe): (MatchingView<'_>, MatchingView<'_>),
+        options: &MatchingOptions,
+        found: &mut Vec<Correspondence>,
+    ) {
+        let Self { query_order, keyframe_order, pairs } = self;
+        order_by_group(query.groups, query_order);
+        order_by_group(keyframe.groups, keyframe_order);
+        pairs.clear();
+        for run in query_order.chunk_by(|a, b| a.0 == b.0) {
+            let candidates = run_of(keyframe_order, run[0].0);
+            pairs.extend(run.iter().filter_map(|&(_, index)| {
+                let descriptor = &query.features.descriptors[index as usize];
+                let found = distinctive_nearest(descriptor, candidates, keyframe.features, options)?;
+                // The nearest the other way must lead back.
+                let found_descriptor = &keyframe.features.descriptors[found as usize];
+                let back = distinctive_nearest(found_descriptor, run, query.features, options)?;
+                (back == index).then_some((index, found))
+            }));
+        }
+        pairs.sort_unstable();
+        found.clear();
+        // As many as there can be, so that no later pair of such images needs more.
+        found.reserve(query.groups.len().min(keyframe.groups.len()));
+        found.extend(pairs.iter().map(|&(query_index, keyframe_index)| Correspondence {
+            query: query_index,
+            keyframe: keyframe_index,
+            query_point: query.features.keypoints[query_index as usize].oriented_point(),
+            keyframe_point: keyframe.features.keypoints[keyframe_index as usize].oriented_point(),
         }));
     }
-    pairs.sort_unstable();
-    let correspondence = |(query_index, keyframe_index): (u32, u32)| Correspondence {
-        query: query_index,
-        keyframe: keyframe_index,
-        query_point: query.features.keypoints[query_index as usize].oriented_point(),
-        keyframe_point: keyframe.features.keypoints[keyframe_index as usize].oriented_point(),
-    };
-    pairs.into_iter().map(correspondence).collect()
 }
 
-fn by_group(groups: &[u32]) -> Vec<u32> {
-    let mut order: Vec<u32> = (0..groups.len() as u32).collect();
-    order.sort_by_key(|&index| groups[index as usize]);
-    order
+fn order_by_group(groups: &[u32], order: &mut Vec<Member>) {
+    order.clear();
+    order.extend(groups.iter().copied().zip(0..));
+    order.sort_unstable();
 }
 
-fn run_of<'a>(order: &'a [u32], groups: &[u32], group: u32) -> &'a [u32] {
-    let start = order.partition_point(|&index| groups[index as usize] < group);
-    let end = order.partition_point(|&index| groups[index as usize] <= group);
+fn run_of(order: &[Member], group: u32) -> &[Member] {
+    let start = order.partition_point(|member| member.0 < group);
+    let end = order.partition_point(|member| member.0 <= group);
     &order[start..end]
 }
 
 /// The candidate nearest to `descriptor`, if it is near enough and the second is clearly farther.
 fn distinctive_nearest(
     descriptor: &Descriptor,
-    candidates: &[u32],
+    candidates: &[Member],
     features: &Features,
     options: &MatchingOptions,
 ) -> Option<u32> {
     let (mut nearest, mut second) = ((u32::MAX, 0), u32::MAX);
-    for &index in candidates {
+    for &(_, index) in candidates {
         let distance = descriptor.distance(&features.descriptors[index as usize]);
         if distance < nearest.0 {
             second = nearest.0;
@@ -138,10 +155,10 @@ mod tests {
 
     fn pairs(query: (&Features, &[u32]), keyframe: (&Features, &[u32])) -> Vec<(u32, u32)> {
         let view = |(features, groups)| MatchingView { features, groups };
-        correspondences(view(query), view(keyframe), &MatchingOptions::default())
-            .iter()
-            .map(|pair| (pair.query, pair.keyframe))
-            .collect()
+        let mut found = Vec::new();
+        let views = (view(query), view(keyframe));
+        Matcher::default().pair(views, &MatchingOptions::default(), &mut found);
+        found.iter().map(|pair| (pair.query, pair.keyframe)).collect()
     }
 
     #[test]

@@ -46,47 +46,72 @@ type Bin = [u32; 4];
 
 /// A transform that many vote for.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Hypothesis {
+pub(super) struct Hypothesis<'a> {
     /// Eq. 4.
     pub(super) score: f32,
     /// The mean of its bin.
     pub(super) transform: Similarity,
-    /// Indices of the transforms in its bin.
-    pub(super) pairs: Vec<u32>,
+    /// The ranks of its votes.
+    bin: &'a [u64],
 }
 
-/// The hypotheses of the best bins, best first, where every correspondence votes for the transform that it speaks for.
-pub(super) fn hypotheses(
-    transforms: &[Similarity],
-    diagonal_px: f32,
-    options: &HoughOptions,
-) -> FixedVec<Hypothesis, MAX_HYPOTHESES> {
-    let paths = Paths::new(options.levels);
-    // By the path to its bin, then by its index.
-    let rank = |(vote, transform): (u32, &Similarity)| {
-        let bin = bin_of(transform, diagonal_px, options)?;
-        Some(u64::from(paths.to(bin)) << u32::BITS | u64::from(vote))
-    };
-    let mut ranks: Vec<u64> = (0..).zip(transforms).filter_map(rank).collect();
-    ranks.sort_unstable();
-    let mut best: FixedVec<(f32, &[u64]), MAX_HYPOTHESES> = FixedVec::new();
-    for (score, bin) in scores(&ranks, options) {
-        // Of bins that score the same those come first whose paths do.
-        let position = best.partition_point(|kept| kept.0 >= score);
-        if position < MAX_HYPOTHESES {
-            if best.is_full() {
-                best.pop();
-            }
-            // Cannot fail: there is room, and the position lies within.
-            let _ = best.insert(position, (score, bin));
-        }
+impl Hypothesis<'_> {
+    /// Indices of the transforms in its bin.
+    pub(super) fn pairs(&self) -> impl Iterator<Item = u32> + Clone {
+        votes(self.bin)
     }
-    let hypothesis = |(score, bin): (f32, &[u64])| {
-        let pairs: Vec<u32> = bin.iter().map(|&rank| rank as u32).collect();
-        let transform = mean_transform(pairs.iter().map(|&pair| &transforms[pair as usize]));
-        Hypothesis { score, transform, pairs }
-    };
-    best.into_iter().map(hypothesis).collect()
+}
+
+/// Counts votes, and keeps its memory for the next ones.
+#[derive(Debug, Default)]
+pub(super) struct Ballot {
+    /// Of every vote the path to its bin, and behind that its index.
+    ranks: Vec<u64>,
+    /// Eq. 4 of the bin of every vote.
+    scores: Vec<f32>,
+}
+
+impl Ballot {
+    /// The hypotheses of the best bins, best first, where every correspondence votes for the transform that it speaks
+    /// for.
+    pub(super) fn hypotheses(
+        &mut self,
+        transforms: &[Similarity],
+        diagonal_px: f32,
+        options: &HoughOptions,
+    ) -> FixedVec<Hypothesis<'_>, MAX_HYPOTHESES> {
+        let Self { ranks, scores } = self;
+        let paths = Paths::new(options.levels);
+        let rank = |(vote, transform): (u32, &Similarity)| {
+            let bin = bin_of(transform, diagonal_px, options)?;
+            Some(u64::from(paths.to(bin)) << u32::BITS | u64::from(vote))
+        };
+        ranks.clear();
+        ranks.extend((0..).zip(transforms).filter_map(rank));
+        ranks.sort_unstable();
+        let mut best: FixedVec<(f32, &[u64]), MAX_HYPOTHESES> = FixedVec::new();
+        for (score, bin) in scored(ranks, options, scores) {
+            // Of bins that score the same those come first whose paths do.
+            let position = best.partition_point(|kept| kept.0 >= score);
+            if position < MAX_HYPOTHESES {
+                if best.is_full() {
+                    best.pop();
+                }
+                // Cannot fail: there is room, and the position lies within.
+                let _ = best.insert(position, (score, bin));
+            }
+        }
+        let hypothesis = |(score, bin)| {
+            let transform = mean_transform(votes(bin).map(|vote| &transforms[vote as usize]));
+            Hypothesis { score, transform, bin }
+        };
+        best.into_iter().map(hypothesis).collect()
+    }
+}
+
+/// The votes of these ranks.
+fn votes(bin: &[u64]) -> impl Iterator<Item = u32> + Clone {
+    bin.iter().map(|&rank| rank as u32)
 }
 
 /// Paths to bins: the indices of the coarsest bin, and behind them one bit an axis for every finer level. So, of votes
@@ -132,9 +157,15 @@ fn bin_of(transform: &Similarity, diagonal_px: f32, options: &HoughOptions) -> O
     ])
 }
 
-/// Eq. 4 for every finest bin that got a vote, with the ranks of its votes, which are sorted.
-fn scores<'a>(ranks: &'a [u64], options: &HoughOptions) -> impl Iterator<Item = (f32, &'a [u64])> {
-    let mut scores = vec![0.0; ranks.len()];
+/// Eq. 4 for every finest bin that got a vote, with the ranks of its votes, which are sorted. The score of every vote
+/// is written over what is in `scores`.
+fn scored<'a>(
+    ranks: &'a [u64],
+    options: &HoughOptions,
+    scores: &mut Vec<f32>,
+) -> impl Iterator<Item = (f32, &'a [u64])> {
+    scores.clear();
+    scores.resize(ranks.len(), 0.0);
     for level in 0..options.levels.min(INDEX_BITS) {
         let weight = (-options.level_decay * level as f32).exp2();
         let finer_bits = u32::BITS + 4 * level;
@@ -199,8 +230,8 @@ mod tests {
             let mut ranks: Vec<u64> = (0..).zip(&bins).map(rank).collect();
             ranks.sort_unstable();
             let mut seen = 0;
-            for (score, of_bin) in scores(&ranks, &options) {
-                let votes: Vec<usize> = of_bin.iter().map(|&rank| rank as u32 as usize).collect();
+            for (score, of_bin) in scored(&ranks, &options, &mut Vec::new()) {
+                let votes: Vec<usize> = votes(of_bin).map(|vote| vote as usize).collect();
                 let bin = bins[votes[0]];
                 let same: Vec<usize> = (0..bins.len()).filter(|&vote| bins[vote] == bin).collect();
                 prop_assert_eq!(&votes, &same);

@@ -9,6 +9,6 @@ mod correspondence;
 mod hough;
 mod verify;
 
-pub use correspondence::{Correspondence, MatchingOptions, MatchingView, correspondences};
+pub use correspondence::{Correspondence, MatchingOptions, MatchingView};
 pub use hough::HoughOptions;
-pub use verify::{Verification, VerificationOptions, verify, vote_and_verify};
+pub use verify::{Verification, VerificationOptions, Verifier, verify};

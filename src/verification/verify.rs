@@ -6,9 +6,12 @@
 //! Inliers crowded on one object prove little, so what counts are *effective* inliers: the cells of
 //! a grid over both images that hold at least one.
 
+use std::mem;
+
 use super::agreement::Columns;
-use super::hough::{self, HoughOptions, Hypothesis};
-use super::{Correspondence, MatchingOptions, MatchingView, correspondences};
+use super::correspondence::Matcher;
+use super::hough::{Ballot, HoughOptions};
+use super::{Correspondence, MatchingOptions, MatchingView};
 use crate::geometry::{Affine, Point, Similarity};
 
 /// Fewest correspondences from which an affine transform is fitted; three would always fit.
@@ -68,6 +71,28 @@ pub struct Verification {
     pub keyframe_from_query: Option<Affine>,
 }
 
+impl Verification {
+    /// Forgets what was found of the correspondences, but for its memory.
+    fn begin(&mut self) {
+        self.inliers.clear();
+        (self.effective_inliers, self.votes, self.keyframe_from_query) = (0, 0.0, None);
+    }
+}
+
+/// Verifies one pair of images after the other, and keeps its memory.
+#[derive(Debug, Default)]
+pub struct Verifier {
+    matcher: Matcher,
+    /// What each correspondence alone says.
+    transforms: Vec<Similarity>,
+    ballot: Ballot,
+    columns: Columns,
+    /// What agrees with the hypothesis in hand.
+    inliers: Vec<u32>,
+    /// Where the inliers are.
+    cells: Vec<(i32, i32)>,
+}
+
 /// Verifies that `query` and `keyframe` show the same scene.
 #[must_use]
 pub fn verify(
@@ -75,118 +100,118 @@ pub fn verify(
     keyframe: MatchingView<'_>,
     options: &VerificationOptions,
 ) -> Verification {
-    let pairs = correspondences(query, keyframe, &options.matching);
-    vote_and_verify(pairs, [query, keyframe].map(|view| view.features.diagonal_px()), options)
+    let mut found = Verification::default();
+    Verifier::default().verify((query, keyframe), options, &mut found);
+    found
 }
 
-/// Verifies that these correspondences agree with one transform of the query image into the keyframe; their diagonals
-/// are in pixels.
-#[must_use]
-pub fn vote_and_verify(
-    pairs: Vec<Correspondence>,
-    [query_diagonal_px, keyframe_diagonal_px]: [f32; 2],
-    options: &VerificationOptions,
-) -> Verification {
-    let transforms: Vec<Similarity> = pairs.iter().map(Correspondence::transform).collect();
-    let check = Check {
-        columns: Columns::new(&pairs, &transforms),
-        pairs: &pairs,
-        transforms: &transforms,
-        query_diagonal_px,
-        keyframe_diagonal_px,
-        options,
-    };
-    let best = check.best_transform();
-    let Some((votes, transform, inliers)) = best else {
-        return Verification { correspondences: pairs, ..Verification::default() };
-    };
-    let effective_inliers = check.effective(&inliers);
-    Verification {
-        correspondences: pairs,
-        inliers,
-        effective_inliers,
-        votes,
-        keyframe_from_query: Some(transform),
+impl Verifier {
+    /// Verifies that `query` and `keyframe` show the same scene; the answer is written over what is in `found`.
+    pub fn verify(
+        &mut self,
+        (query, keyframe): (MatchingView<'_>, MatchingView<'_>),
+        options: &VerificationOptions,
+        found: &mut Verification,
+    ) {
+        self.matcher.pair((query, keyframe), &options.matching, &mut found.correspondences);
+        self.vote_and_verify([query, keyframe].map(|view| view.features.diagonal_px()), options, found);
+    }
+
+    /// Verifies that the correspondences in `found` agree with one transform of the query image into the keyframe;
+    /// their diagonals are in pixels. The answer is written over what else is in `found`.
+    pub fn vote_and_verify(
+        &mut self,
+        [query_diagonal_px, keyframe_diagonal_px]: [f32; 2],
+        options: &VerificationOptions,
+        found: &mut Verification,
+    ) {
+        found.begin();
+        // So that no later pair of images needs more, whichever of the two lists is handed out.
+        self.inliers.clear();
+        self.inliers.reserve(found.correspondences.capacity());
+        found.inliers.reserve(found.correspondences.capacity());
+        let pairs = &found.correspondences;
+        if pairs.len() < MIN_FIT {
+            return;
+        }
+        self.transforms.clear();
+        self.transforms.extend(pairs.iter().map(Correspondence::transform));
+        self.columns.fill(pairs, &self.transforms);
+        let (columns, inliers) = (&mut self.columns, &mut self.inliers);
+        let mut check = Check { pairs, columns, inliers, query_diagonal_px, keyframe_diagonal_px, options };
+        let diagonal_px = query_diagonal_px.max(keyframe_diagonal_px);
+        for hypothesis in self.ballot.hypotheses(&self.transforms, diagonal_px, &options.hough) {
+            // The votes for one transform fall into several bins: it is taken for that one, and not refined from each.
+            if hypothesis.pairs().all(|pair| found.inliers.binary_search(&pair).is_ok()) {
+                continue;
+            }
+            // Of equally good hypotheses the first, which got more votes.
+            if let Some(transform) = check.refine(hypothesis.transform.into())
+                && check.inliers.len() > found.inliers.len()
+            {
+                mem::swap(check.inliers, &mut found.inliers);
+                (found.votes, found.keyframe_from_query) = (hypothesis.score, Some(transform));
+            }
+        }
+        found.effective_inliers = check.effective(&found.inliers, &mut self.cells);
     }
 }
 
 /// One pair of images under verification.
 struct Check<'a> {
     pairs: &'a [Correspondence],
-    /// What each of them alone says.
-    transforms: &'a [Similarity],
-    columns: Columns,
+    columns: &'a mut Columns,
+    /// What agrees with the transform in hand.
+    inliers: &'a mut Vec<u32>,
     query_diagonal_px: f32,
     keyframe_diagonal_px: f32,
     options: &'a VerificationOptions,
 }
 
 impl Check<'_> {
-    fn best_transform(&self) -> Option<(f32, Affine, Vec<u32>)> {
-        if self.pairs.len() < MIN_FIT {
-            return None;
-        }
-        let diagonal_px = self.query_diagonal_px.max(self.keyframe_diagonal_px);
-        let mut best: Option<(f32, Affine, Vec<u32>)> = None;
-        for Hypothesis { score, transform, pairs } in
-            hough::hypotheses(self.transforms, diagonal_px, &self.options.hough)
-        {
-            let inliers = best.as_ref().map_or(&[][..], |best| &best.2);
-            // The votes for one transform fall into several bins: it is taken for that one, and not refined from each.
-            if pairs.iter().all(|pair| inliers.binary_search(pair).is_ok()) {
-                continue;
-            }
-            // Of equally good hypotheses the first, which got more votes.
-            if let Some((transform, found)) = self.refine(transform.into())
-                && found.len() > inliers.len()
-            {
-                best = Some((score, transform, found));
-            }
-        }
-        best
-    }
-
-    /// Refits `hypothesis` to its inliers, first loosely, then halfway, then tightly, and counts tightly.
-    fn refine(&self, hypothesis: Affine) -> Option<(Affine, Vec<u32>)> {
-        let loose = self.inliers(&hypothesis, self.options.loose_tolerance);
+    /// Refits `hypothesis` to its inliers, first loosely, then halfway, then tightly, and counts tightly: answers the
+    /// transform if enough agree, and leaves them in `inliers`.
+    fn refine(&mut self, hypothesis: Affine) -> Option<Affine> {
+        self.agree(&hypothesis, self.options.loose_tolerance);
         let halfway = (self.options.loose_tolerance + self.options.tight_tolerance) / 2.0;
-        let mut transform = self.fit(&loose)?;
+        let mut transform = self.fit()?;
         for tolerance in [halfway, self.options.tight_tolerance] {
-            let inliers = self.inliers(&transform, tolerance);
-            transform = self.fit(&inliers)?;
+            self.agree(&transform, tolerance);
+            transform = self.fit()?;
         }
-        let inliers = self.inliers(&transform, self.options.tight_tolerance);
-        (inliers.len() >= MIN_FIT).then_some((transform, inliers))
+        self.agree(&transform, self.options.tight_tolerance);
+        (self.inliers.len() >= MIN_FIT).then_some(transform)
     }
 
-    fn fit(&self, inliers: &[u32]) -> Option<Affine> {
-        let fitted = fit_affine(inliers.iter().map(|&index| &self.pairs[index as usize]))?;
+    /// The transform that fits the inliers best, if cameras that see one scene may differ so.
+    fn fit(&self) -> Option<Affine> {
+        let fitted = fit_affine(self.inliers.iter().map(|&index| &self.pairs[index as usize]))?;
         let ratio = fitted.determinant();
         let max = self.options.max_area_ratio;
         // A negative ratio is a mirror image, which no camera motion makes.
         (ratio >= 1.0 / max && ratio <= max).then_some(fitted)
     }
 
-    /// The pairs that agree with the transform within `tolerance` of the image diagonals.
-    fn inliers(&self, keyframe_from_query: &Affine, tolerance: f32) -> Vec<u32> {
+    /// Finds the pairs that agree with the transform within `tolerance` of the image diagonals.
+    fn agree(&mut self, keyframe_from_query: &Affine, tolerance: f32) {
         let tolerances_px = [self.keyframe_diagonal_px, self.query_diagonal_px].map(|px| tolerance * px);
-        self.columns.inliers(keyframe_from_query, tolerances_px, self.options)
+        self.columns.inliers(keyframe_from_query, (tolerances_px, self.options), self.inliers);
     }
 
-    fn effective(&self, inliers: &[u32]) -> u32 {
+    fn effective(&self, inliers: &[u32], cells: &mut Vec<(i32, i32)>) -> u32 {
         let pairs = || inliers.iter().map(|&index| &self.pairs[index as usize]);
-        let cells = self.options.grid_cells as f32;
-        let in_query = occupied(pairs().map(|pair| pair.query_point.point), self.query_diagonal_px / cells);
-        let in_keyframe =
-            occupied(pairs().map(|pair| pair.keyframe_point.point), self.keyframe_diagonal_px / cells);
+        let side = self.options.grid_cells as f32;
+        let (query_px, keyframe_px) = (self.query_diagonal_px / side, self.keyframe_diagonal_px / side);
+        let in_query = occupied(pairs().map(|pair| pair.query_point.point), query_px, cells);
+        let in_keyframe = occupied(pairs().map(|pair| pair.keyframe_point.point), keyframe_px, cells);
         in_query.min(in_keyframe)
     }
 }
 
-/// How many cells of `cell_px` hold at least one of the points.
-fn occupied(points: impl Iterator<Item = Point>, cell_px: f32) -> u32 {
-    let mut cells: Vec<(i32, i32)> =
-        points.map(|point| ((point.x / cell_px) as i32, (point.y / cell_px) as i32)).collect();
+/// How many cells of `cell_px` hold at least one of the points; which do is written over what is in `cells`.
+fn occupied(points: impl Iterator<Item = Point>, cell_px: f32, cells: &mut Vec<(i32, i32)>) -> u32 {
+    cells.clear();
+    cells.extend(points.map(|point| ((point.x / cell_px) as i32, (point.y / cell_px) as i32)));
     cells.sort_unstable();
     cells.dedup();
     cells.len() as u32

@@ -82,14 +82,17 @@ impl GrownWords {
 
     /// The words of an image's `descriptors`: that of the vocabulary where it covers them or nothing near has
     /// grown, else the one that grew nearest. `quantised` is what the vocabulary says of each.
-    #[must_use]
-    pub fn words_of(&self, descriptors: &[Descriptor], quantised: &[Quantised]) -> Vec<Offshoot> {
+    pub fn words_of(
+        &self,
+        descriptors: &[Descriptor],
+        quantised: &[Quantised],
+    ) -> impl Iterator<Item = Offshoot> {
         let offshoot = |(descriptor, quantised): (&Descriptor, &Quantised)| {
             let node = self.nodes.get(&quantised.node).filter(|_| !is_covered(quantised));
             let grown = node.and_then(|node| Some(node.words[node.find(descriptor)?].offshoot));
             grown.unwrap_or_else(|| trained(quantised))
         };
-        descriptors.iter().zip(quantised).map(offshoot).collect()
+        descriptors.iter().zip(quantised).map(offshoot)
     }
 
     /// The words of an image that is learnt: as [`words_of`](Self::words_of), but what neither `vocabulary`, that
@@ -259,7 +262,7 @@ mod tests {
         let learnt = learn(&mut grown, &[0, 100, 164]);
         let first = vocabulary.word_count();
         assert_eq!(learnt, [WordId(first), WordId(first + 1), WordId(first + 1)], "164 is 64 bits from 100");
-        let seen = |node, ones| grown.words_of(&[descriptor(ones)], &[quantised(node, 100)])[0];
+        let seen = |node, ones| grown.words_of(&[descriptor(ones)], &[quantised(node, 100)]).next().unwrap();
         let offshoot = Offshoot { word: learnt[1], origin: WordId(1) };
         assert_eq!([seen(1, 60), seen(1, 90)], [offshoot; 2]);
         assert_eq!(seen(1, 165).word, WordId(1), "too far from all that grew");

@@ -194,8 +194,15 @@ impl Vocabulary {
     /// other, because while one descent waits for memory the others go on.
     #[must_use]
     pub fn quantise_all(&self, descriptors: &[Descriptor]) -> Vec<Quantised> {
-        let tables = self.tables();
         let mut quantised = Vec::with_capacity(descriptors.len());
+        self.quantise_into(descriptors, &mut quantised);
+        quantised
+    }
+
+    /// As [`quantise_all`](Self::quantise_all), written over what is in `quantised`.
+    pub fn quantise_into(&self, descriptors: &[Descriptor], quantised: &mut Vec<Quantised>) {
+        let tables = self.tables();
+        quantised.clear();
         for descriptors in descriptors.chunks(SIDE_BY_SIDE) {
             let descents = &mut [Descent::default(); SIDE_BY_SIDE][..descriptors.len()];
             for level in 0..=MAX_DEPTH {
@@ -212,13 +219,11 @@ impl Vocabulary {
             }
             quantised.extend(descents.iter().copied().map(Descent::end));
         }
-        quantised
     }
 
-    /// The number of the node near the root of every descriptor, as in [`Quantised::node`], without going on to its
-    /// word: features under one node are compared.
-    #[must_use]
-    pub fn groups(&self, descriptors: &[Descriptor]) -> Vec<u32> {
+    /// Writes over what is in `groups` the number of the node near the root of every descriptor, as in
+    /// [`Quantised::node`], without going on to its word: features under one node are compared.
+    pub fn groups_into(&self, descriptors: &[Descriptor], groups: &mut Vec<u32>) {
         let tables = self.tables();
         let group = |descriptor| {
             let mut descent = Descent::default();
@@ -227,7 +232,8 @@ impl Vocabulary {
             }
             descent.node
         };
-        descriptors.iter().map(group).collect()
+        groups.clear();
+        groups.extend(descriptors.iter().map(group));
     }
 
     fn tables(&self) -> Tables<'_> {

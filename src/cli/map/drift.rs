@@ -96,7 +96,7 @@ pub(super) fn run(arguments: &DriftArguments) -> anyhow::Result<Outcome> {
 impl DriftedPlace {
     fn new(map: &PlaceMap, drift: Drift) -> Self {
         let numbers = |part: Vec<ExperienceId>| part.into_iter().map(|id| id.0).collect();
-        let name = map.place(drift.place).and_then(|place| place.name.clone());
+        let name = map.place(drift.place).and_then(|place| place.name.as_deref()).map(str::to_owned);
         Self { place: drift.place.0, name, parts: drift.parts.into_iter().map(numbers).collect() }
     }
 

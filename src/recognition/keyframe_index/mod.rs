@@ -44,6 +44,14 @@ pub(super) struct KeyframeIndex {
     documents: HashMap<ExperienceId, DocumentId>,
     /// Words of all keyframes together, in every condition.
     postings: usize,
+    asked: Asked,
+}
+
+/// The frame that was asked for last; its memory serves the next one.
+#[derive(Default)]
+struct Asked {
+    words: Vec<WordId>,
+    bow: BowVector,
 }
 
 /// The keyframes under the words of one condition.
@@ -66,7 +74,8 @@ impl WordIndex {
             return self.add(&BowVector::new(trained_words(&quantised), vocabulary));
         };
         let learnt = grown.learn(descriptors, &quantised, vocabulary);
-        let document = self.add(&grown_bow(&learnt, vocabulary));
+        let words = weighted(learnt.into_iter(), vocabulary);
+        let document = self.add(&BowVector::weighted(words, vocabulary.weighting()));
         let Some(grown) = &mut self.grown else { return document };
         let purged = grown.purge();
         let renamed: Vec<_> = purged.iter().map(|offshoot| (offshoot.word, offshoot.origin)).collect();
@@ -74,12 +83,17 @@ impl WordIndex {
         document
     }
 
-    /// The bag of words of `look`.
-    fn bow(&self, look: &Look, vocabulary: &Vocabulary) -> BowVector {
+    /// Makes the bag of words of `look`.
+    fn fill(&self, Asked { words, bow }: &mut Asked, look: &Look, vocabulary: &Vocabulary) {
         match &self.grown {
-            None => BowVector::new(trained_words(&look.quantised), vocabulary),
+            None => {
+                words.clear();
+                words.extend(trained_words(&look.quantised));
+                bow.fill(words, vocabulary);
+            }
             Some(grown) => {
-                grown_bow(&grown.words_of(&look.features.descriptors, &look.quantised), vocabulary)
+                let offshoots = grown.words_of(&look.features.descriptors, &look.quantised);
+                bow.fill_weighted(weighted(offshoots, vocabulary), vocabulary.weighting());
             }
         }
     }
@@ -89,9 +103,11 @@ fn trained_words(quantised: &[Quantised]) -> impl Iterator<Item = WordId> {
     quantised.iter().map(|quantised| quantised.word)
 }
 
-fn grown_bow(offshoots: &[Offshoot], vocabulary: &Vocabulary) -> BowVector {
-    let weighted = offshoots.iter().map(|offshoot| (offshoot.word, vocabulary.weight(offshoot.origin)));
-    BowVector::weighted(weighted, vocabulary.weighting())
+fn weighted(
+    offshoots: impl Iterator<Item = Offshoot>,
+    vocabulary: &Vocabulary,
+) -> impl Iterator<Item = (WordId, f64)> {
+    offshoots.map(|offshoot| (offshoot.word, vocabulary.weight(offshoot.origin)))
 }
 
 impl KeyframeIndex {
@@ -103,7 +119,14 @@ impl KeyframeIndex {
             grown: growing.then(|| GrownWords::new(vocabularies.vocabulary(condition))),
         };
         let words = vocabularies.conditions().map(word_index).collect();
-        Self { vocabularies, words, keyframes: Vec::new(), documents: HashMap::new(), postings: 0 }
+        Self {
+            vocabularies,
+            words,
+            keyframes: Vec::new(),
+            documents: HashMap::new(),
+            postings: 0,
+            asked: Asked::default(),
+        }
     }
 
     pub(super) fn vocabularies(&self) -> &Arc<VocabularySet> {
@@ -246,11 +269,12 @@ impl KeyframeIndex {
         look: &Look,
         unwanted: Option<PlaceId>,
     ) -> FixedVec<RetrievedKeyframe, MAX_RETRIEVED> {
-        let Self { vocabularies, words, keyframes, .. } = self;
+        let Self { vocabularies, words, keyframes, asked, .. } = self;
         let condition = look.light.condition;
         let Some(index) = words.get_mut(usize::from(condition.0)) else { return FixedVec::new() };
-        let bow = index.bow(look, vocabularies.vocabulary(condition));
-        let retrieved = index.inverted.query(&bow, |id| Some(keyframes[id.0 as usize].place) != unwanted);
+        index.fill(asked, look, vocabularies.vocabulary(condition));
+        let retrieved =
+            index.inverted.query(&asked.bow, |id| Some(keyframes[id.0 as usize].place) != unwanted);
         let keyframe = |retrieved: &crate::retrieval::Retrieved| {
             let IndexedKeyframe { place, experience, .. } = keyframes[retrieved.document.0 as usize];
             RetrievedKeyframe { place, experience, score: retrieved.score }

@@ -169,10 +169,16 @@ impl RecordLog {
     /// If there is no good record or the medium fails.
     pub fn read(&self, offset: u64) -> Result<(Envelope, Vec<u8>), StorageError> {
         let mut payload = Vec::new();
-        match self.read_record(offset, self.length_bytes(), Some(&mut payload))? {
-            Some(header) => Ok((header.envelope, payload)),
-            None => Err(self.damaged(offset)),
-        }
+        self.read_into(offset, &mut payload).map(|envelope| (envelope, payload))
+    }
+
+    /// As [`read`](Self::read), the payload being written over what is in `payload`.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read); then `payload` may hold anything.
+    pub fn read_into(&self, offset: u64, payload: &mut Vec<u8>) -> Result<Envelope, StorageError> {
+        let header = self.read_record(offset, self.length_bytes(), Some(payload))?;
+        header.map(|header| header.envelope).ok_or_else(|| self.damaged(offset))
     }
 
     /// Hands the records before byte `until`, within the log, to `reading` once more.

@@ -93,7 +93,7 @@ impl<'a> Rows<'a> {
             Value::Count(id.0.into()),
             Value::Count(place.map_or(experience.learnt_as, |place| place.id).0.into()),
             Value::Count(experience.learnt_as.0.into()),
-            Value::text(place.and_then(|place| place.name.clone())),
+            Value::text(place.and_then(|place| place.name.as_deref()).map(str::to_owned)),
             Value::Flag(experience.is_keyframe),
             Value::Count(origin.frame_index),
             Value::Text(origin.frame_name),
