@@ -12,6 +12,7 @@ use super::perception::{PerceptionLatency, Seen};
 use super::pool::Pool;
 use super::stages::micros;
 use super::{PipelineError, RunSummary, Watcher};
+use crate::cnn;
 use crate::frame::Frame;
 use crate::place_map::{MapError, PlaceMap};
 use crate::recognition::{Decision, Look, Recogniser, Recognition};
@@ -30,8 +31,8 @@ pub(super) struct Decider<'a> {
     /// Where keyframes are described anew, if a CNN takes part that may be replaced.
     pub(super) desk: Option<Desk>,
     pub(super) delivery: Delivery,
-    /// Takes looks whose memory may be used again.
-    pub(super) spare: Sender<Look>,
+    /// Take what is not needed any more.
+    pub(super) spare: (Sender<Look>, Sender<cnn::Descriptor>),
     pub(super) shows_matched: bool,
     pub(super) watcher: &'a dyn Watcher,
 }
@@ -53,8 +54,7 @@ impl Decider<'_> {
             summary.count(&record);
             self.watcher.decided(&record);
             let (record, before) = records.share(record);
-            // Where there is no room for it, its memory is given up.
-            before.into_iter().for_each(|before| drop(self.spare.try_send(before.look)));
+            before.into_iter().for_each(|before| self.give_back(before));
             self.delivery.deliver(&record, self.watcher)
         });
         let delivered = self.delivery.finish(self.watcher);
@@ -66,6 +66,15 @@ impl Decider<'_> {
         summary.map = Some(self.recogniser.map().summary());
         summary.sink_failures = delivered?;
         Ok(summary)
+    }
+
+    /// Lets the memory of an answer that was delivered be used again; where there is no room for it, it is given up.
+    fn give_back(&mut self, record: FrameRecord) {
+        let FrameRecord { mut look, recognition, .. } = record;
+        let (looks, descriptors) = &self.spare;
+        look.appearance.take().into_iter().for_each(|descriptor| drop(descriptors.try_send(descriptor)));
+        drop(looks.try_send(look));
+        self.recogniser.reuse(recognition);
     }
 
     /// Decides a frame by the model that described it; answers, besides, what failed of the map.

@@ -60,7 +60,8 @@ impl<'a> Describer<'a> {
     }
 
     /// Describes a frame, by another model than the one before if one was offered meanwhile.
-    pub(super) fn describe(&mut self, image: &RgbImage) -> Described {
+    /// It may lie in the memory of `spare`.
+    pub(super) fn describe(&mut self, image: &RgbImage, spare: Option<Descriptor>) -> Described {
         let started = Instant::now();
         if self.trial.is_none()
             && let Some(new) = self.exchange.as_ref().and_then(|exchange| exchange.offered.try_recv().ok())
@@ -68,7 +69,7 @@ impl<'a> Describer<'a> {
             let before = self.change_to(new);
             self.trial = Some(Trial { before, frames_left: TRIAL_FRAMES });
         }
-        let descriptor = match self.model.describe(image) {
+        let descriptor = match self.model.describe_reusing(image, spare) {
             Ok(descriptor) => {
                 self.prove();
                 Ok(descriptor)

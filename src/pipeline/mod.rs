@@ -54,11 +54,12 @@ use crate::telemetry::{RecognitionSink, TelemetryError};
 use decider::{Decider, Visit};
 use delivery::Delivery;
 use model_keeper::ModelKeeper;
+use perception::Spare;
 
 /// Frames that wait between two stages at most.
 const QUEUE_FRAMES: usize = 4;
-/// Looks whose memory waits to be used again.
-const SPARE_LOOKS: usize = 4;
+/// Looks and descriptors whose memory waits to be used again.
+const SPARE: usize = 4;
 
 /// Why a stream ended early.
 #[derive(Debug, thiserror::Error)]
@@ -111,10 +112,11 @@ impl Pipeline {
         };
         let shows_matched = sinks.iter().any(|sink| sink.shows_matched_keyframe());
         let delivery = Delivery::start(sinks, source.is_live())?;
-        let (spare, spared) = bounded(SPARE_LOOKS);
+        let ((spare_looks, looks), (spare_descriptors, descriptors)) = (bounded(SPARE), bounded(SPARE));
         thread::scope(|scope| {
             let perception = Perception::new(&mut extractor, &vocabularies, model.as_mut());
-            let perception = perception.replacing_by(exchange).within(budget).reusing(spared);
+            let perception =
+                perception.replacing_by(exchange).within(budget).reusing(Spare { looks, descriptors });
             let perceive = |visit: Visit<'_>| perception.run(source, stop, watcher, visit);
             let (keeping, ended) = bounded(0);
             if let Some((syncer, interval)) = upkeep {
@@ -123,6 +125,7 @@ impl Pipeline {
             if let Some(keeper) = keeper {
                 stages::named("models").spawn_scoped(scope, move || keeper.run())?;
             }
+            let spare = (spare_looks, spare_descriptors);
             let decider = Decider { recogniser, desk, delivery, spare, shows_matched, watcher };
             let summary = decider.run(perceive);
             drop::<Sender<()>>(keeping);

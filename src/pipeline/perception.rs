@@ -14,7 +14,7 @@ use super::intake::{Captured, intake};
 use super::pacing::{CpuBudget, Pace};
 use super::stages::{self, Extraction, Inputs};
 use super::{QUEUE_FRAMES, Watcher};
-use crate::cnn::DescriptorModel;
+use crate::cnn::{self, DescriptorModel};
 use crate::feature::OrbExtractor;
 use crate::frame::Frame;
 use crate::recognition::Look;
@@ -71,8 +71,14 @@ pub struct Perception<'a> {
     exchange: Option<Exchange>,
     /// Processor time that all of it may take.
     budget: Option<CpuBudget>,
-    /// Looks whose memory may be used again.
-    spare: Receiver<Look>,
+    /// What is not needed any more.
+    spare: Spare,
+}
+
+/// Looks and descriptors whose memory may be used again.
+pub(super) struct Spare {
+    pub(super) looks: Receiver<Look>,
+    pub(super) descriptors: Receiver<cnn::Descriptor>,
 }
 
 impl<'a> Perception<'a> {
@@ -83,7 +89,8 @@ impl<'a> Perception<'a> {
         vocabularies: &'a VocabularySet,
         model: Option<&'a mut DescriptorModel>,
     ) -> Self {
-        Self { extractor, vocabularies, model, exchange: None, budget: None, spare: never() }
+        let spare = Spare { looks: never(), descriptors: never() };
+        Self { extractor, vocabularies, model, exchange: None, budget: None, spare }
     }
 
     /// The same, but that models take over which come by `exchange`.
@@ -96,8 +103,8 @@ impl<'a> Perception<'a> {
         Self { budget, ..self }
     }
 
-    /// The same, in the memory of looks that come by `spare`.
-    pub(super) fn reusing(self, spare: Receiver<Look>) -> Self {
+    /// The same, in the memory of what comes by `spare`.
+    pub(super) fn reusing(self, spare: Spare) -> Self {
         Self { spare, ..self }
     }
 
@@ -124,14 +131,15 @@ impl<'a> Perception<'a> {
                     let (to_cnn, frames) = bounded(depth.cnn);
                     let (to_inputs, described) = bounded(depth.recognition);
                     let describer = Describer::new(model, exchange);
-                    stages::named("cnn")
-                        .spawn_scoped(scope, || stages::describe(describer, frames, to_inputs))?;
+                    stages::named("cnn").spawn_scoped(scope, || {
+                        stages::describe(describer, (frames, spare.descriptors), to_inputs)
+                    })?;
                     (Some(to_cnn), Some(described))
                 }
             };
             let capture = Capture { source, entrance, pace: budget.map(Pace::new), watcher };
             let capture = stages::named("capture").spawn_scoped(scope, || capture.run(stop))?;
-            let extraction = Extraction { extractor, vocabularies, spare };
+            let extraction = Extraction { extractor, vocabularies, spare: spare.looks };
             stages::named("features")
                 .spawn_scoped(scope, move || extraction.run(&exit, to_cnn, to_inputs))?;
             let visited = visit_all(Inputs { featured, described }, watcher, visit);

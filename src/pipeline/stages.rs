@@ -66,8 +66,8 @@ impl Extraction<'_> {
             let mut look = self.spare.try_recv().unwrap_or_default();
             look.light = switch.follow(self.vocabularies, captured.frame.grey.mean_luminance());
             self.extractor.extract_into(&captured.frame.grey, &mut look.features);
-            look.quantised =
-                self.vocabularies.vocabulary(look.light.condition).quantise_all(&look.features.descriptors);
+            let vocabulary = self.vocabularies.vocabulary(look.light.condition);
+            vocabulary.quantise_into(&look.features.descriptors, &mut look.quantised);
             let featured = Featured { captured, look, features_us: micros(started), waiting };
             if to_recognition.send(featured).is_err() {
                 break;
@@ -76,14 +76,15 @@ impl Extraction<'_> {
     }
 }
 
-/// Runs the CNN on every frame.
+/// Runs the CNN on every frame, in the memory of descriptors that come by `spare`.
 pub(super) fn describe(
     mut describer: Describer<'_>,
-    frames: Receiver<Arc<Frame>>,
+    (frames, spare): (Receiver<Arc<Frame>>, Receiver<cnn::Descriptor>),
     to_recognition: Sender<Described>,
 ) {
     for frame in &frames {
-        let described = Described { waiting: frames.len(), ..describer.describe(&frame.colour) };
+        let described = describer.describe(&frame.colour, spare.try_recv().ok());
+        let described = Described { waiting: frames.len(), ..described };
         if to_recognition.send(described).is_err() {
             break;
         }

@@ -35,7 +35,7 @@ pub(in crate::cli) struct RenameArguments {
 struct Report<'a> {
     place: u32,
     name: &'a str,
-    name_before: Option<String>,
+    name_before: Option<&'a str>,
 }
 
 /// Names the place.
@@ -49,8 +49,8 @@ pub(super) fn run(arguments: &RenameArguments) -> anyhow::Result<Outcome> {
     }
     map.name_place(id, name)?;
     map.sync()?;
-    let report = Report { place: id.0, name, name_before };
-    let before = report.name_before.as_ref().map(|before| format!(", before {before:?}")).unwrap_or_default();
+    let report = Report { place: id.0, name, name_before: name_before.as_deref() };
+    let before = report.name_before.map(|before| format!(", before {before:?}")).unwrap_or_default();
     say(&match arguments.json {
         true => serde_json::to_string(&report)?,
         false => format!("place {} is called {name:?}{before}", id.0),
