@@ -6,6 +6,7 @@
 mod assets;
 mod console;
 mod demo;
+mod devices;
 mod doctor;
 #[cfg(feature = "evaluation")]
 mod evaluate;
@@ -45,6 +46,8 @@ enum Command {
     Map(map::MapCommand),
     /// What works on this computer, what is missing, and how to fix it
     Doctor(doctor::DoctorArguments),
+    /// List cameras with their formats, rates and controls, and a source for each
+    Devices(devices::DevicesArguments),
     /// Train a better CNN from the clusters of maps
     #[cfg(feature = "train")]
     Train(train::TrainArguments),
@@ -60,8 +63,6 @@ enum Command {
     Review(Anything),
     /// Stage-by-stage timing on this computer (not built yet)
     Bench(Anything),
-    /// List cameras with their formats (not built yet)
-    Devices(Anything),
 }
 
 /// Takes any arguments, so that a command that is not built says so and nothing else.
@@ -107,6 +108,7 @@ pub(crate) fn run() -> anyhow::Result<Outcome> {
         Command::Vocab(command) => vocab::run(command),
         Command::Map(command) => map::run(command),
         Command::Doctor(arguments) => doctor::run(arguments),
+        Command::Devices(arguments) => devices::run(&arguments),
         #[cfg(feature = "train")]
         Command::Train(arguments) => train::run(&arguments),
         #[cfg(not(feature = "train"))]
@@ -116,7 +118,6 @@ pub(crate) fn run() -> anyhow::Result<Outcome> {
         Command::Sync(_) => not_built("sync"),
         Command::Review(_) => not_built("review"),
         Command::Bench(_) => not_built("bench"),
-        Command::Devices(_) => not_built("devices"),
     }
 }
 

@@ -11,6 +11,8 @@ mod poses;
 pub mod synthetic;
 mod video;
 
+#[cfg(feature = "v4l")]
+pub use camera::{Camera, CameraControl, CameraFormat, ControlItem, FrameRates, FrameSize, cameras};
 pub use codec::{decode, jpeg, thumbnail_jpeg};
 pub use directory::{DirectorySource, image_files, is_image, sort_naturally};
 pub use poses::{PoseTrack, PosedSource};
@@ -170,7 +172,7 @@ pub fn announced_frames(source: &str) -> Result<Option<u64>, SourceError> {
 
 #[cfg(feature = "v4l")]
 fn open_camera(camera: &str, sample_interval: Option<u64>) -> Result<Box<dyn FrameSource>, SourceError> {
-    Ok(Box::new(camera::CameraSource::open(camera, sample_interval)?))
+    camera::open(camera, sample_interval)
 }
 
 #[cfg(not(feature = "v4l"))]

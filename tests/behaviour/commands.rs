@@ -8,7 +8,7 @@ use crate::program::{finished, loci, loci_with_vocabulary_variable, text};
 
 #[test]
 fn commands_that_are_not_built_say_so_and_fail() {
-    for command in ["sync", "review", "bench", "devices"] {
+    for command in ["sync", "review", "bench"] {
         let message = format!("`loci {command}` is not built yet");
         loci(&[command, "--with", "anything"]).assert_failed(1, &[&message]);
     }
@@ -19,7 +19,7 @@ fn commands_that_are_not_built_say_so_and_fail() {
 
 #[test]
 fn help_of_every_built_command_shows_an_example() {
-    let commands: [&[&str]; 14] = [
+    let commands: [&[&str]; 15] = [
         &["run"],
         &["demo"],
         &["evaluate"],
@@ -34,6 +34,7 @@ fn help_of_every_built_command_shows_an_example() {
         &["map", "merge"],
         &["map", "compact"],
         &["doctor"],
+        &["devices"],
     ];
     for command in commands {
         let help = loci(&[command, &["--help"]].concat());
@@ -218,6 +219,24 @@ fn the_demo_tells_a_newcomer_what_happened() {
 }
 
 #[cfg(feature = "cnn")]
+#[test]
+fn cameras_are_listed_or_it_is_said_why_none_are() {
+    if cfg!(not(feature = "v4l")) {
+        loci(&["devices"]).assert_failed(1, &["build with `--features v4l`"]);
+        return;
+    }
+    let devices = loci(&["devices", "--json"]);
+    let listing = devices.records()[0].clone();
+    assert_eq!(listing["schema"], "loci-devices-1");
+    let (cameras, refusals) =
+        (listing["cameras"].as_array().unwrap(), listing["refusals"].as_array().unwrap());
+    assert_eq!(devices.code, if refusals.is_empty() { 0 } else { 3 });
+    if cameras.is_empty() && refusals.is_empty() {
+        assert!(devices.stderr.contains("no cameras; plug one in"), "{}", devices.stderr);
+        assert_eq!(loci(&["devices"]).stdout, "");
+    }
+}
+
 #[test]
 fn the_doctor_finds_every_part_in_order() {
     let doctor = loci(&["doctor", "--json"]);

@@ -1,250 +1,322 @@
-//! A camera through V4L2: `v4l2:/dev/video0?size=640x480&fps=30&format=mjpg`.
+//! A camera through V4L2: `v4l2:/dev/video0?size=640x480&fps=30&format=mjpg&exposure=100`.
 //!
-//! Frames are awaited for two seconds at most, so whoever asks for them soon hears of a camera that hangs.
-//! What goes wrong with one frame is told and the next call goes on; a camera that is gone, or keeps
-//! silent several times in a row, ends the stream.
+//! A robot is not stopped by its camera. What goes wrong with one frame is told and the next call goes on; a camera
+//! that keeps silent is opened anew; one that is gone is looked for until it is there again, under another number
+//! perhaps. Each trouble is told once, and so is its end. A frame is awaited for two seconds, and a camera that is away
+//! for one, so whoever asks soon hears.
 
+mod controls;
+mod developer;
 mod device;
+mod driver;
+mod listing;
+mod outage;
 mod pixels;
+mod query;
+mod search;
 mod spec;
 mod stream;
 mod timing;
 
+pub use listing::{Camera, CameraControl, CameraFormat, ControlItem, FrameRates, FrameSize, cameras};
+
 use std::io;
+use std::path::Path;
+use std::thread;
 use std::time::{Duration, Instant};
 
-use v4l::buffer::{Flags, Metadata};
-
-use self::device::{Delivery, ENODEV};
-use self::spec::{CameraSpec, PixelFormat};
-use self::stream::BufferStream;
+use self::developer::Developer;
+use self::device::ENODEV;
+use self::driver::{Connected, Driver, Stream, V4l2};
+use self::outage::Outage;
+use self::search::{Identity, Search};
+use self::spec::CameraSpec;
 use self::timing::{CaptureClock, Sampling};
-use super::{FrameSource, SourceError, codec};
+use super::{FrameSource, SourceError};
 use crate::frame::Frame;
-use crate::kernel::luma;
-use crate::raster::RgbImage;
 
-/// How long a frame is awaited.
-const TIMEOUT: Duration = Duration::from_secs(2);
-/// Failures in a row after which the camera is given up.
-const MAX_FAILURES: u32 = 5;
+/// Damaged frames in a row after which the camera is opened anew.
+const MAX_DAMAGED: u32 = 3;
+/// How often it is asked whether the camera is still there after an error that may be the first sign of its end.
+const SIGNS_OF_LIFE: u32 = 4;
 
-/// Frames of a camera.
-pub(super) struct CameraSource {
-    stream: BufferStream,
-    developer: Developer,
-    sampling: Sampling,
-    clock: CaptureClock,
-    /// Failures since the last frame that arrived.
-    failures: u32,
-    is_ended: bool,
+const UNPLUGGED: &str = "it was unplugged; waiting for it to come back";
+const CHANGED: &str = "its format changed; opening it anew";
+
+/// How long things take.
+#[derive(Clone, Copy)]
+struct Times {
+    /// A frame is awaited for so long, or for two where the camera takes less than one a second.
+    frame: Duration,
+    /// Where no frame is due, or the camera is away, that is said after so long.
+    answer: Duration,
+    /// From one look for the camera to the next.
+    pause: Duration,
 }
 
-impl CameraSource {
-    /// Opens the camera of `text`, `DEVICE?size=WxH&fps=N&format=mjpg|yuyv|nv12|grey`, and hands out every
-    /// `sample_interval`-th frame, by default about three a second. Where the driver gives another size or
-    /// rate than asked for, that is what the frames have.
-    ///
-    /// # Errors
-    /// If `text` makes no sense, or there is no such camera, or it cannot be used.
-    pub(super) fn open(text: &str, sample_interval: Option<u64>) -> Result<Self, SourceError> {
+const TIMES: Times = Times {
+    frame: Duration::from_secs(2),
+    answer: Duration::from_secs(1),
+    pause: Duration::from_millis(250),
+};
+/// Longest time for which a frame of a slow camera is awaited.
+const MAX_PATIENCE: Duration = Duration::from_secs(10);
+
+/// Opens the camera of `text`, `DEVICE?size=WxH&fps=N&format=mjpg|yuyv|nv12|grey&CONTROL=VALUE`, and hands out every
+/// `sample_interval`-th frame, by default about three a second. Where the driver gives another size or rate than asked
+/// for, that is what the frames have.
+///
+/// # Errors
+/// If `text` makes no sense, or there is no such camera, or it cannot be used.
+pub(super) fn open(text: &str, sample_interval: Option<u64>) -> Result<Box<dyn FrameSource>, SourceError> {
+    Ok(Box::new(CameraSource::open(V4l2, text, sample_interval)?))
+}
+
+/// Frames of a camera.
+struct CameraSource<D: Driver> {
+    driver: D,
+    spec: CameraSpec,
+    /// `None` while the camera is away.
+    open: Option<OpenCamera<D::Stream>>,
+    search: Search,
+    sampling: Sampling,
+    clock: CaptureClock,
+    outage: Outage,
+    /// Frames in a row that were damaged.
+    damaged: u32,
+    notice: Option<String>,
+    times: Times,
+}
+
+/// A camera while it is there.
+struct OpenCamera<S> {
+    stream: S,
+    developer: Developer,
+    /// Who it is and what is said of it once it has sent a frame, after it was opened anew.
+    greeting: Option<(Identity, String)>,
+}
+
+/// Why there is no frame.
+enum Fault {
+    NotYet,
+    /// The frame is damaged, which is no fault of the stream.
+    Frame(String),
+    Stream(io::Error),
+}
+
+impl<D: Driver> CameraSource<D> {
+    fn open(driver: D, text: &str, sample_interval: Option<u64>) -> Result<Self, SourceError> {
         let named = text.split('?').next().filter(|device| !device.is_empty());
         let device = named.unwrap_or("(none)").to_owned();
         let refused = |reason| SourceError::Camera { device: device.clone(), reason };
         let spec = CameraSpec::parse(text).map_err(refused)?;
-        let (opened, delivery) = device::open(&spec).map_err(refused)?;
-        let stream = BufferStream::open(opened).map_err(|error| refused(device::reason(&error)))?;
+        let Connected { stream, delivery, identity, description } =
+            driver.open(Path::new(&device), &spec).map_err(refused)?;
         Ok(Self {
-            stream,
+            driver,
+            spec,
             sampling: Sampling::new(sample_interval, delivery.fps),
-            developer: Developer { device, delivery },
+            notice: Some(format!("camera {device}: {description}")),
+            open: Some(OpenCamera { stream, developer: Developer { device, delivery }, greeting: None }),
+            search: Search::begin(identity, Vec::new()),
             clock: CaptureClock::default(),
-            failures: 0,
-            is_ended: false,
+            outage: Outage::default(),
+            damaged: 0,
+            times: TIMES,
         })
     }
 
     /// The next frame that is due; those before it are dropped as they are.
     fn due_frame(&mut self) -> Result<Frame, SourceError> {
-        let mut deadline = Instant::now() + TIMEOUT;
+        let answer_by = Instant::now() + self.times.answer;
+        let mut camera = match self.open.take() {
+            Some(camera) => camera,
+            None => self.awaited(answer_by)?,
+        };
+        match self.read(&mut camera, answer_by) {
+            Ok(frame) => {
+                self.damaged = 0;
+                self.open = Some(camera);
+                Ok(frame)
+            }
+            Err(Fault::NotYet) => {
+                self.open = Some(camera);
+                Err(SourceError::NotYet)
+            }
+            Err(Fault::Frame(reason)) => Err(self.is_damaged(camera, reason)),
+            Err(Fault::Stream(error)) => Err(self.failed(camera, &error)),
+        }
+    }
+
+    fn read(&mut self, camera: &mut OpenCamera<D::Stream>, answer_by: Instant) -> Result<Frame, Fault> {
+        let patience = self.patience(camera.developer.delivery.fps);
         loop {
-            let (bytes, metadata) = match self.stream.next(deadline) {
-                Ok(buffer) => buffer,
-                Err(error) => {
-                    self.sampling.restart();
-                    // A signal to the program is no fault of the camera.
-                    if error.kind() == io::ErrorKind::Interrupted && Instant::now() < deadline {
-                        continue;
-                    }
-                    return Err(self.failed(&error));
-                }
-            };
+            let (bytes, metadata) = camera.stream.next(Instant::now() + patience).map_err(Fault::Stream)?;
             let arrival_nanos = timing::wall_nanos();
-            deadline = Instant::now() + TIMEOUT;
-            self.failures = 0;
+            self.welcome(&mut camera.greeting);
             let index = self.sampling.index(metadata.sequence);
             let capture_nanos = self.clock.capture_nanos(timing::stamp_nanos(&metadata), arrival_nanos);
             if self.sampling.is_due(index) {
-                return self.developer.frame(bytes, &metadata, (index, capture_nanos));
+                let taken = (index, capture_nanos);
+                return camera.developer.frame(bytes, &metadata, taken).map_err(Fault::Frame);
+            }
+            if Instant::now() >= answer_by {
+                return Err(Fault::NotYet);
             }
         }
     }
 
-    /// Counts a failure of the stream, and ends it when there are too many.
-    fn failed(&mut self, error: &io::Error) -> SourceError {
-        self.failures += 1;
-        let is_gone = error.raw_os_error() == Some(ENODEV);
-        self.is_ended = is_gone || self.failures >= MAX_FAILURES;
-        let mut reason = match error.kind() {
-            _ if is_gone => "it was unplugged; plug it in and start again".to_owned(),
+    /// A frame came: whatever was wrong is over.
+    fn welcome(&mut self, greeting: &mut Option<(Identity, String)>) {
+        let was_told = self.outage.end();
+        let news = match greeting.take() {
+            Some((identity, greeting)) => {
+                // Not before: another camera that sends nothing is no replacement.
+                self.search = Search::begin(identity, Vec::new());
+                greeting
+            }
+            None if was_told => "it sends frames again".to_owned(),
+            None => return,
+        };
+        self.notice = Some(format!("camera {}: {news}", self.spec.device));
+    }
+
+    /// How long a frame of a camera that takes `fps` is awaited.
+    fn patience(&self, fps: Option<f64>) -> Duration {
+        let two_frames = fps.map(|fps| Duration::try_from_secs_f64(2.0 / fps).unwrap_or(MAX_PATIENCE));
+        two_frames.unwrap_or_default().clamp(self.times.frame, MAX_PATIENCE)
+    }
+
+    /// The camera as soon as it is there again; an error where it is not by `answer_by`.
+    fn awaited(&mut self, answer_by: Instant) -> Result<OpenCamera<D::Stream>, SourceError> {
+        loop {
+            let refusal = match self.reopened() {
+                Ok(camera) => return Ok(camera),
+                Err(refusal) => refusal,
+            };
+            thread::sleep(self.times.pause);
+            if Instant::now() >= answer_by {
+                let told = match refusal {
+                    None => Some(UNPLUGGED.to_owned()),
+                    Some(reason) if self.outage.is_lasting(&reason) => {
+                        Some(format!("it is there again, but cannot be used: {reason}"))
+                    }
+                    Some(_) => None,
+                };
+                return Err(told.map_or(SourceError::NotYet, |reason| self.told(reason)));
+            }
+        }
+    }
+
+    /// The camera, opened anew; the error is why it cannot be, or `None` where it is away.
+    fn reopened(&mut self) -> Result<OpenCamera<D::Stream>, Option<String>> {
+        let named = self.driver.node(Path::new(&self.spec.device));
+        let nodes = self.driver.nodes();
+        let path = self.search.found(named.as_ref(), &nodes).ok_or(None)?;
+        let Connected { stream, delivery, identity, description } =
+            self.driver.open(path, &self.spec).map_err(Some)?;
+        self.sampling.begin_anew(delivery.fps);
+        self.clock = CaptureClock::default();
+        self.damaged = 0;
+        let greeting = Some((identity, format!("it is back at {}: {description}", path.display())));
+        let developer = Developer { device: self.spec.device.clone(), delivery };
+        Ok(OpenCamera { stream, developer, greeting })
+    }
+
+    /// Says that a frame is damaged; where many are, or the format is not the one that was agreed on, the camera is
+    /// opened anew.
+    fn is_damaged(&mut self, camera: OpenCamera<D::Stream>, reason: String) -> SourceError {
+        self.damaged += 1;
+        let has_changed = camera.stream.has_changed(&camera.developer.delivery);
+        if has_changed || self.damaged >= MAX_DAMAGED {
+            self.close(camera);
+        } else {
+            self.open = Some(camera);
+        }
+        self.error(if has_changed { CHANGED.to_owned() } else { reason })
+    }
+
+    /// Says what went wrong with the stream, unless that was said. The stream is opened anew, and the camera if that
+    /// does not help.
+    fn failed(&mut self, camera: OpenCamera<D::Stream>, error: &io::Error) -> SourceError {
+        self.sampling.restart();
+        // A signal to the program is no fault of the camera, but may be meant to end it.
+        if error.kind() == io::ErrorKind::Interrupted {
+            self.open = Some(camera);
+            return SourceError::NotYet;
+        }
+        let is_late = error.kind() == io::ErrorKind::TimedOut;
+        let is_gone = error.raw_os_error() == Some(ENODEV) || (!is_late && self.vanishes(&camera.stream));
+        let reason = match error.kind() {
+            _ if is_gone => UNPLUGGED.to_owned(),
             io::ErrorKind::TimedOut => {
-                format!("no frame within {} s; check the cable and the USB port", TIMEOUT.as_secs())
+                let patience = self.patience(camera.developer.delivery.fps).as_secs();
+                format!("no frame within {patience} s; check the cable and the USB port")
             }
             _ => device::reason(error),
         };
-        if self.is_ended && !is_gone {
-            reason = format!("given up after {MAX_FAILURES} failures in a row: {reason}");
+        let is_enough = self.outage.count_failure();
+        if is_gone || is_enough {
+            self.close(camera);
+        } else {
+            self.open = Some(camera);
         }
-        self.developer.error(reason)
+        let answer = self.told(reason);
+        if matches!(answer, SourceError::NotYet) && !is_late {
+            // What fails at once would be tried without a pause.
+            thread::sleep(self.times.pause);
+        }
+        answer
+    }
+
+    /// Whether the device is about to go: some drivers fail with other errors before it does.
+    fn vanishes(&self, stream: &D::Stream) -> bool {
+        (0..SIGNS_OF_LIFE).any(|_| {
+            let is_gone = stream.is_gone();
+            if !is_gone {
+                thread::sleep(self.times.pause / SIGNS_OF_LIFE);
+            }
+            is_gone
+        })
+    }
+
+    /// Closes the camera, which is looked for from here on.
+    fn close(&mut self, camera: OpenCamera<D::Stream>) {
+        drop(camera);
+        self.search.begin_again(self.driver.nodes());
+    }
+
+    /// The error, unless it was told in this outage.
+    fn told(&mut self, reason: String) -> SourceError {
+        if self.outage.is_news(&reason) { self.error(reason) } else { SourceError::NotYet }
+    }
+
+    fn error(&self, reason: String) -> SourceError {
+        SourceError::Camera { device: self.spec.device.clone(), reason }
     }
 }
 
-impl FrameSource for CameraSource {
+impl<D: Driver> FrameSource for CameraSource<D> {
     fn next_frame(&mut self) -> Option<Result<Frame, SourceError>> {
-        (!self.is_ended).then(|| self.due_frame())
+        Some(self.due_frame())
     }
 
     fn frame_count(&self) -> Option<u64> {
         None
     }
-}
 
-/// Makes frames of buffers.
-struct Developer {
-    device: String,
-    delivery: Delivery,
-}
-
-impl Developer {
-    /// The frame in `bytes`, with its number and time of capture.
-    fn frame(&self, bytes: &[u8], metadata: &Metadata, taken: (u64, i64)) -> Result<Frame, SourceError> {
-        let (index, capture_nanos) = taken;
-        let name = format!("{}#{index:06}", self.device);
-        let spoilt = |reason| self.error(format!("frame {index}: {reason}; try another cable or USB port"));
-        if metadata.flags.contains(Flags::ERROR) {
-            return Err(spoilt("the driver says that it is damaged".to_owned()));
-        }
-        let Delivery { format, layout, range, .. } = self.delivery;
-        let (colour, grey, jpeg) = match format {
-            PixelFormat::Mjpg => {
-                let jpeg = without_padding(bytes);
-                if jpeg.is_empty() {
-                    return Err(spoilt("it is empty".to_owned()));
-                }
-                let colour = codec::decode(jpeg, &name).map_err(|error| spoilt(what_is_wrong(error)))?;
-                (colour, None, Some(jpeg.to_vec()))
-            }
-            PixelFormat::Yuyv => (pixels::rgb_from_yuyv(bytes, layout, range).map_err(spoilt)?, None, None),
-            PixelFormat::Nv12 => (pixels::rgb_from_nv12(bytes, layout, range).map_err(spoilt)?, None, None),
-            PixelFormat::Grey => {
-                let grey = pixels::grey_from_grey(bytes, layout).map_err(spoilt)?;
-                (RgbImage::from_grey(&grey), Some(grey), None)
-            }
-        };
-        let grey = grey.unwrap_or_else(|| luma(&colour));
-        Ok(Frame { index, capture_nanos, name, colour, grey, jpeg, pose: None, true_place: None })
+    fn is_live(&self) -> bool {
+        true
     }
 
-    fn error(&self, reason: String) -> SourceError {
-        SourceError::Camera { device: self.device.clone(), reason }
+    fn take_notice(&mut self) -> Option<String> {
+        self.notice.take()
     }
-}
 
-/// A JPEG ends with an end marker; some drivers fill up the first buffers behind it with zeros.
-fn without_padding(bytes: &[u8]) -> &[u8] {
-    let end = bytes.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
-    &bytes[..end]
-}
-
-/// What the decoder says without its advice, which is about files.
-fn what_is_wrong(error: SourceError) -> String {
-    match error {
-        SourceError::BadImage { reason, .. } => reason.split("; ").next().unwrap_or_default().to_owned(),
-        other => other.to_string(),
+    fn lost_frames(&self) -> u64 {
+        self.sampling.lost()
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::source::camera::pixels::{Layout, Range};
-
-    const TAKEN: (u64, i64) = (123, 456);
-
-    fn developer(format: PixelFormat) -> Developer {
-        let layout = Layout { width_px: 40, height_px: 32, stride_bytes: 0 };
-        let delivery = Delivery { format, layout, range: Range::Limited, fps: None };
-        Developer { device: "/dev/video0".to_owned(), delivery }
-    }
-
-    fn reason(text: &str) -> String {
-        let message = CameraSource::open(text, None).map(|_| ()).unwrap_err().to_string();
-        assert!(!message.contains('\n'), "{message}");
-        message
-    }
-
-    #[test]
-    fn a_device_that_cannot_be_a_camera_is_named_with_the_fix() {
-        let missing = reason("/dev/video-of-nobody?size=640x480");
-        assert!(missing.starts_with("camera /dev/video-of-nobody: there is no such device; "), "{missing}");
-        let file = tempfile::NamedTempFile::new().unwrap();
-        for path in ["/dev/null", "/dev", file.path().to_str().unwrap()] {
-            let message = reason(path);
-            let expected = format!("camera {path}: it is not a video capture device; ");
-            assert!(message.starts_with(&expected), "{message}");
-        }
-        assert!(reason("?fps=30").starts_with("camera (none): no device is named; "));
-        assert!(reason("/dev/video0?sise=1x1").starts_with("camera /dev/video0: there is no key 'sise'; "));
-    }
-
-    #[test]
-    fn a_padded_mjpg_frame_becomes_a_frame_with_its_jpeg() {
-        let jpeg = codec::jpeg(&RgbImage::new(40, 32));
-        let padded = [jpeg.as_slice(), &[0; 100]].concat();
-        let frame = developer(PixelFormat::Mjpg).frame(&padded, &Metadata::default(), TAKEN).unwrap();
-        assert_eq!(frame.jpeg, Some(jpeg));
-        assert_eq!((frame.index, frame.capture_nanos, frame.name.as_str()), (123, 456, "/dev/video0#000123"));
-        assert_eq!((frame.colour.width(), frame.grey.height()), (40, 32));
-    }
-
-    #[test]
-    fn a_broken_frame_is_reported_with_its_number() {
-        let jpeg = codec::jpeg(&RgbImage::new(40, 32));
-        let cases = [
-            (PixelFormat::Mjpg, &jpeg[..jpeg.len() - 2], "the JPEG is cut off"),
-            (PixelFormat::Mjpg, &[0; 50], "it is empty"),
-            (PixelFormat::Yuyv, &[0; 2559], "the frame is cut off: 2559 of 2560 bytes arrived"),
-            (PixelFormat::Nv12, &[0; 1919], "the frame is cut off: 1919 of 1920 bytes arrived"),
-            (PixelFormat::Grey, &[0; 1279], "the frame is cut off: 1279 of 1280 bytes arrived"),
-        ];
-        for (format, bytes, what) in cases {
-            let error = developer(format).frame(bytes, &Metadata::default(), TAKEN).unwrap_err().to_string();
-            let expected = format!("camera /dev/video0: frame 123: {what}; try another cable or USB port");
-            assert_eq!(error, expected);
-        }
-        let damaged = Metadata { flags: Flags::ERROR, ..Metadata::default() };
-        let error = developer(PixelFormat::Grey).frame(&[0; 1280], &damaged, TAKEN).unwrap_err().to_string();
-        assert!(error.contains("frame 123: the driver says that it is damaged"), "{error}");
-    }
-
-    #[test]
-    fn raw_frames_have_the_luma_of_the_camera() {
-        let frame = developer(PixelFormat::Grey).frame(&[77; 1280], &Metadata::default(), TAKEN).unwrap();
-        assert_eq!((frame.grey.get(39, 31), frame.colour.row(31)[119]), (77, 77));
-        assert!(frame.jpeg.is_none());
-        for (format, bytes) in [(PixelFormat::Yuyv, &[128; 2560][..]), (PixelFormat::Nv12, &[128; 1920])] {
-            let frame = developer(format).frame(bytes, &Metadata::default(), TAKEN).unwrap();
-            assert_eq!((frame.grey.get(39, 31), frame.colour.row(31)[119]), (130, 130));
-        }
-    }
-}
+mod tests;

@@ -12,7 +12,9 @@ use v4l::buffer::{Metadata, Type};
 use v4l::io::traits::{CaptureStream, Stream as _};
 use v4l::prelude::MmapStream;
 
-use super::device::{ENODEV, unpanicked};
+use super::device::{self, Delivery, ENODEV, unpanicked};
+use super::driver::Stream;
+use super::query;
 
 /// Buffers that the driver fills in turn; one is read while the others wait.
 const BUFFERS: u32 = 4;
@@ -31,10 +33,10 @@ impl BufferStream {
         let buffers = Some(Buffers::allocate(&device)?);
         Ok(Self { device, buffers, is_broken: false })
     }
+}
 
-    /// The bytes of the next frame, waiting until `deadline`. After an error the next call opens the
-    /// stream anew.
-    pub(super) fn next(&mut self, deadline: Instant) -> io::Result<(&[u8], Metadata)> {
+impl Stream for BufferStream {
+    fn next(&mut self, deadline: Instant) -> io::Result<(&[u8], Metadata)> {
         if mem::take(&mut self.is_broken) {
             // Before anything else: the driver lends its buffers only once.
             self.buffers = None;
@@ -49,6 +51,14 @@ impl BufferStream {
         // The buffer is as long as the longest frame; this one ends where the driver says.
         let length = bytes.len().min(metadata.bytesused as usize);
         Ok((&bytes[..length], metadata))
+    }
+
+    fn is_gone(&self) -> bool {
+        query::card(&self.device).is_err_and(|error| error.raw_os_error() == Some(ENODEV))
+    }
+
+    fn has_changed(&self, delivery: &Delivery) -> bool {
+        device::has_changed(&self.device, delivery)
     }
 }
 

@@ -12,9 +12,14 @@ const DEFAULT_RATE_HZ: f64 = 3.0;
 /// Frames a second of a camera whose driver does not say.
 const USUAL_FPS: f64 = 30.0;
 
-/// Numbers frames and picks every `interval`-th; numbers only ever grow.
+/// A driver that seems to skip as many numbers counts anew.
+const MAX_GAP: u32 = 1 << 31;
+
+/// Numbers frames, counts those that are missing and picks every `interval`-th; numbers only ever grow.
 #[derive(Debug)]
 pub(super) struct Sampling {
+    /// The interval that was asked for.
+    wished: Option<u64>,
     interval: u64,
     /// What is added to the driver's numbers, which begin anew with every stream.
     base: u64,
@@ -22,25 +27,50 @@ pub(super) struct Sampling {
     free: u64,
     /// The number from which on the next frame is handed out.
     due: u64,
+    /// The driver's number of the next frame of this stream, once it has begun.
+    expected: Option<u32>,
+    /// Frames of all streams that were never fetched.
+    lost: u64,
 }
 
 impl Sampling {
     /// Hands out every `interval`-th frame; by default about three a second of a camera that takes `fps`.
     pub(super) fn new(interval: Option<u64>, fps: Option<f64>) -> Self {
+        let mut sampling =
+            Self { wished: interval, interval: 1, base: 0, free: 0, due: 0, expected: None, lost: 0 };
+        sampling.begin_anew(fps);
+        sampling
+    }
+
+    /// The camera was opened anew and takes `fps`: its next frame is handed out.
+    pub(super) fn begin_anew(&mut self, fps: Option<f64>) {
         let default = || (fps.unwrap_or(USUAL_FPS) / DEFAULT_RATE_HZ).round() as u64;
-        Self { interval: interval.unwrap_or_else(default).max(1), base: 0, free: 0, due: 0 }
+        self.interval = self.wished.unwrap_or_else(default).max(1);
+        self.due = self.free;
+        self.restart();
     }
 
     /// The number of the frame that the driver calls `sequence`. Some drivers call all frames 0.
     pub(super) fn index(&mut self, sequence: u32) -> u64 {
+        let missing = self.expected.map_or(0, |expected| sequence.wrapping_sub(expected));
+        if missing < MAX_GAP {
+            self.lost = self.lost.saturating_add(missing.into());
+        }
+        self.expected = Some(sequence.wrapping_add(1));
         let index = self.base.saturating_add(u64::from(sequence)).max(self.free);
         self.free = index.saturating_add(1);
         index
     }
 
+    /// Frames that the sensor took and nobody fetched in time, within streams.
+    pub(super) fn lost(&self) -> u64 {
+        self.lost
+    }
+
     /// The driver's numbers begin anew.
     pub(super) fn restart(&mut self) {
         self.base = self.free;
+        self.expected = None;
     }
 
     /// Whether the frame of this number is to be handed out; asked once a frame.
@@ -126,6 +156,36 @@ mod tests {
         assert_eq!(handed_out(&mut sampling, [0, 1, 5]), [0, 1, 5]);
         sampling.restart();
         assert_eq!(handed_out(&mut sampling, [0, 2]), [6, 8]);
+    }
+
+    #[test]
+    fn a_camera_that_is_opened_anew_gives_its_next_frame_and_samples_by_its_new_rate() {
+        let mut sampling = Sampling::new(None, Some(30.0));
+        assert_eq!(handed_out(&mut sampling, 0..=12), [0, 10]);
+        sampling.begin_anew(Some(6.0));
+        assert_eq!(handed_out(&mut sampling, 0..=4), [13, 15, 17]);
+        let mut wished = Sampling::new(Some(4), Some(30.0));
+        wished.begin_anew(Some(6.0));
+        assert_eq!(handed_out(&mut wished, 0..=8), [0, 4, 8]);
+    }
+
+    #[test]
+    fn frames_that_nobody_fetched_are_counted_within_a_stream() {
+        let mut sampling = Sampling::new(Some(3), None);
+        let lost = |sampling: &mut Sampling, sequences: &[u32]| {
+            handed_out(sampling, sequences.iter().copied());
+            sampling.lost()
+        };
+        // What is missing before the first one was taken before anybody asked.
+        assert_eq!(lost(&mut sampling, &[7, 8, 9]), 0);
+        assert_eq!(lost(&mut sampling, &[12, 13, 15]), 3);
+        // A number twice, and a driver that counts anew.
+        assert_eq!(lost(&mut sampling, &[15, 0, 1]), 3);
+        sampling.restart();
+        assert_eq!(lost(&mut sampling, &[100, 102]), 4);
+        sampling.begin_anew(None);
+        assert_eq!(lost(&mut sampling, &[u32::MAX - 1, 1]), 6);
+        assert_eq!(lost(&mut Sampling::new(None, None), &[0; 9]), 0);
     }
 
     #[test]
