@@ -11,6 +11,11 @@ pub struct Pose {
     pub orientation: [f64; 4],
 }
 
+impl Pose {
+    /// The orientation of one who is not turned, or of whom nobody knows.
+    pub const UPRIGHT: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
+}
+
 /// One image of a stream.
 #[derive(Clone, Debug)]
 pub struct Frame {

@@ -31,7 +31,7 @@ const FLOORS: [(&str, u32); 21] = [
 ];
 
 /// Outside libraries and the modules that may use them.
-const HOMES: [(&str, &[&str]); 31] = [
+const HOMES: [(&str, &[&str]); 32] = [
     ("anyhow", &["cli", "main"]),
     ("bytesize", &["cli"]),
     ("clap", &["cli"]),
@@ -39,6 +39,7 @@ const HOMES: [(&str, &[&str]); 31] = [
     ("parquet", &["cli"]),
     ("signal_hook", &["cli"]),
     ("crossbeam_channel", &["pipeline"]),
+    ("rustix", &["pipeline"]),
     ("hdrhistogram", &["pipeline"]),
     ("alphanumeric_sort", &["source"]),
     ("image", &["source"]),
@@ -54,7 +55,7 @@ const HOMES: [(&str, &[&str]); 31] = [
     ("prost", &["onnx"]),
     ("crc32fast", &["storage"]),
     ("memmap2", &["storage"]),
-    ("serde_json", &["telemetry", "cli", "evaluation"]),
+    ("serde_json", &["telemetry", "cli", "evaluation", "source"]),
     ("toml", &["cnn", "cli", "evaluation"]),
     ("base64", &["evaluation"]),
     ("csv", &["evaluation", "cli"]),

@@ -2,15 +2,16 @@
 
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use loci::cnn::{CnnError, ModelCard};
-use loci::pipeline::{RunSummary, Watcher};
+use loci::pipeline::{ANSWER, RunSummary, Watcher};
 use loci::place_map::MapError;
 use loci::recognition::{Candidate, Decision, Recognition, Rejection};
-use loci::source::SourceError;
-use loci::telemetry::{FrameRecord, RecognitionSink, TelemetryError};
+use loci::source::{FrameSource, SourceError};
+use loci::telemetry::{Flow, FrameRecord, Losses, RecognitionSink, TelemetryError, Waiting};
 
 use super::Outcome;
 
@@ -32,7 +33,11 @@ pub(super) fn counted(count: impl Display, thing: &str) -> String {
 }
 
 /// Writes a line a frame for people.
-pub(super) struct HumanLines<W>(pub(super) W);
+pub(super) struct HumanLines<W> {
+    output: W,
+    /// What stands below the lines meanwhile.
+    status: ProgressBar,
+}
 
 impl<W: Write + Send> RecognitionSink for HumanLines<W> {
     fn record(&mut self, record: &FrameRecord) -> Result<(), TelemetryError> {
@@ -47,11 +52,11 @@ impl<W: Write + Send> RecognitionSink for HumanLines<W> {
             recognition.confidence,
             evidence(recognition),
         );
-        Ok(writeln!(self.0, "{}", line.trim_end())?)
+        Ok(self.status.suspend(|| writeln!(self.output, "{}", line.trim_end()))?)
     }
 
     fn finish(&mut self) -> Result<(), TelemetryError> {
-        Ok(self.0.flush()?)
+        Ok(self.output.flush()?)
     }
 }
 
@@ -75,15 +80,36 @@ pub(super) struct Reporter {
     progress: ProgressBar,
     /// Whether the run was asked to learn.
     is_learning: bool,
+    is_live: AtomicBool,
 }
 
 impl Reporter {
-    /// A reporter, of a run that is to learn or not, with a progress bar over `frames` if stderr is a terminal that
-    /// nothing else fills.
-    pub(super) fn new(frames: Option<u64>, lines_on_stdout: bool, is_learning: bool) -> Self {
-        let hidden = lines_on_stdout && io::stdout().is_terminal();
-        let target = if hidden { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        Self { progress: progress_bar(frames, "frames", target), is_learning }
+    /// A reporter, of a run that is to learn or not, which shows nothing yet.
+    pub(super) fn new(is_learning: bool) -> Self {
+        Self { progress: ProgressBar::hidden(), is_learning, is_live: AtomicBool::new(false) }
+    }
+
+    /// Lines for people on stdout, above whatever this reporter shows.
+    pub(super) fn lines(&self) -> HumanLines<io::Stdout> {
+        HumanLines { output: io::stdout(), status: self.progress.clone() }
+    }
+
+    /// Shows on stderr, if that is a terminal, how far the frames of `source` got; of a live one how it keeps pace.
+    /// Where `others_write` to the same terminal, nothing.
+    pub(super) fn begin(&self, source: &dyn FrameSource, others_write: bool) {
+        if others_write && io::stdout().is_terminal() {
+            return;
+        }
+        self.progress.set_draw_target(ProgressDrawTarget::stderr());
+        if source.is_live() {
+            self.is_live.store(true, Ordering::Relaxed);
+            dress(&self.progress, "{spinner} {pos} frames, {per_sec}; {msg}");
+            return;
+        }
+        if let Some(frames) = source.frame_count() {
+            self.progress.set_length(frames);
+        }
+        dress(&self.progress, &bar_template("frames"));
     }
 
     /// Clears the progress bar.
@@ -95,14 +121,35 @@ impl Reporter {
 /// A bar over `length` of `unit` with count and remaining time; a spinner where the length is unknown.
 pub(super) fn progress_bar(length: Option<u64>, unit: &str, target: ProgressDrawTarget) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(length, target);
+    dress(&bar, &bar_template(unit));
+    bar
+}
+
+fn bar_template(unit: &str) -> String {
+    format!("{{spinner}} {{prefix}}{{wide_bar}} {{pos}}/{{len}} {unit}, {{eta}} left")
+}
+
+fn dress(bar: &ProgressBar, template: &str) {
     // The template is tried by every run with a terminal.
-    if let Ok(style) = ProgressStyle::with_template(&format!(
-        "{{spinner}} {{prefix}}{{wide_bar}} {{pos}}/{{len}} {unit}, {{eta}} left"
-    )) {
+    if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);
     }
     bar.enable_steady_tick(Duration::from_millis(250));
-    bar
+}
+
+/// How a stream keeps pace, in one line: from capture to the answer, what waits for features, the CNN, recognition and
+/// the slowest sink, and what was lost.
+fn pace(record: &FrameRecord) -> String {
+    let Waiting { features, cnn, recognition, sinks } = record.flow.waiting;
+    let milliseconds = record.latency.answer_us as f64 / 1e3;
+    let queues = format!("waiting {features} {cnn} {recognition} {sinks}");
+    format!("capture to answer {milliseconds:.1} ms, {queues}, {}", losses(&record.flow))
+}
+
+/// What did not come through.
+fn losses(flow: &Flow) -> String {
+    let Flow { losses: Losses { lost, dropped, spared, .. }, missed_records, .. } = flow;
+    format!("frames lost {lost}, dropped {dropped}, spared {spared}, records missed {missed_records}")
 }
 
 /// Shows that something goes on whose length is not known.
@@ -140,7 +187,18 @@ impl Watcher for Reporter {
         self.progress.suspend(|| eprintln!("loci: new model refused: {reason}; going on with {name}"));
     }
 
-    fn decided(&self, _: &FrameRecord) {
+    fn noticed(&self, notice: &str) {
+        self.progress.suspend(|| eprintln!("loci: {notice}"));
+    }
+
+    fn sink_failed(&self, error: &TelemetryError) {
+        self.progress.suspend(|| eprintln!("loci: {error}; going on without it"));
+    }
+
+    fn decided(&self, record: &FrameRecord) {
+        if self.is_live.load(Ordering::Relaxed) {
+            self.progress.set_message(pace(record));
+        }
         self.progress.inc(1);
     }
 }
@@ -166,10 +224,13 @@ pub(super) fn summary_text(summary: &RunSummary) -> String {
     if summary.lost_something() {
         text += &format!(
             "\n{} skipped, {} without the CNN's answer, {} of the map",
-            counted(summary.skipped, "frame"),
+            counted(summary.flow.losses.unreadable, "frame"),
             summary.cnn_failures,
             counted(summary.map_failures, "failure"),
         );
+    }
+    if summary.sink_failures > 0 {
+        text += &format!(", {} of outputs", summary.sink_failures);
     }
     if let Some(map) = &summary.map {
         let mib = map.journal_bytes as f64 / f64::from(1 << 20);
@@ -181,8 +242,14 @@ pub(super) fn summary_text(summary: &RunSummary) -> String {
         );
     }
     text += "\nmedian time a frame:";
-    for stage in summary.latency() {
+    let latency = summary.latency();
+    for stage in latency.iter().filter(|stage| stage.stage != ANSWER) {
         text += &format!(" {} {:.1} ms", stage.stage, stage.p50_us as f64 / 1e3);
+    }
+    if let Some(answer) = latency.iter().find(|stage| stage.stage == ANSWER && summary.is_live) {
+        let [median, most] = [answer.p50_us, answer.p99_us].map(|micros| micros as f64 / 1e3);
+        let losses = losses(&summary.flow);
+        text += &format!("\ncapture to answer: {median:.1} ms, {most:.1} ms for 99 of 100; {losses}");
     }
     text
 }

@@ -41,9 +41,9 @@ pub(super) fn run(arguments: DemoArguments) -> anyhow::Result<Outcome> {
     }
     let stop = stream::stop_flag()?;
     let pipeline = stream::pipeline(WORLD, &settings, sinks)?;
-    let frames = pipeline.source.frame_count();
     eprintln!("loci: driving two laps of a street that exists only in this program …");
-    let reporter = Reporter::new(frames, false, true);
+    let reporter = Reporter::new(true);
+    reporter.begin(pipeline.source.as_ref(), false);
     let summary = pipeline.run(&stop, &reporter)?;
     reporter.finish();
     let score = score.lock().unwrap_or_else(std::sync::PoisonError::into_inner);

@@ -7,7 +7,7 @@ use std::sync::atomic::Ordering;
 use clap::Args;
 use loci::telemetry::{JsonLines, RecognitionSink};
 
-use super::console::{HumanLines, Reporter, counted, outcome, summary_text};
+use super::console::{Reporter, counted, outcome, summary_text};
 use super::explain::{Awaited, Explanations};
 use super::settings::StreamSettings;
 use super::{Outcome, stream};
@@ -40,10 +40,12 @@ pub(super) struct RunArguments {
 pub(super) fn run(arguments: RunArguments) -> anyhow::Result<Outcome> {
     let settings = arguments.settings.completed(arguments.config.as_deref())?;
     let awaited = Awaited::new(&arguments.explain);
+    let reporter = Reporter::new(settings.read_only != Some(true));
+    let is_for_people = !arguments.json && arguments.explain.is_empty();
     let lines: Box<dyn RecognitionSink> = if arguments.json {
         Box::new(JsonLines::new(io::stdout()))
-    } else if arguments.explain.is_empty() {
-        Box::new(HumanLines(io::stdout()))
+    } else if is_for_people {
+        Box::new(reporter.lines())
     } else {
         Box::new(Explanations { output: io::stdout(), awaited: awaited.clone() })
     };
@@ -52,12 +54,13 @@ pub(super) fn run(arguments: RunArguments) -> anyhow::Result<Outcome> {
     if settings.map.is_none() {
         eprintln!("loci: no --map: what is learnt is gone at the end");
     }
-    let reporter = Reporter::new(pipeline.source.frame_count(), true, settings.read_only != Some(true));
+    reporter.begin(pipeline.source.as_ref(), !(is_for_people && pipeline.source.is_live()));
     let summary = pipeline.run(&stop, &reporter)?;
     reporter.finish();
     eprintln!("{}", summary_text(&summary));
-    if summary.frames == 0 && summary.skipped > 0 {
-        anyhow::bail!("none of {} could be read", counted(summary.skipped, "frame"));
+    let unreadable = summary.flow.losses.unreadable;
+    if summary.frames == 0 && unreadable > 0 {
+        anyhow::bail!("none of {} could be read", counted(unreadable, "frame"));
     }
     if let Some(frame) = awaited.missed().filter(|_| !stop.load(Ordering::Relaxed)) {
         let which = "frames are counted from 0; unreadable ones and those between samples are passed over";

@@ -9,7 +9,9 @@ use std::path::{Path, PathBuf};
 use std::{env, fs};
 
 use clap::{Args, ValueEnum};
+use loci::pipeline::CpuBudget;
 use loci::place_map::Durability;
+use loci::source::PoseAddress;
 use serde::Deserialize;
 
 use super::WrongArgument;
@@ -52,9 +54,13 @@ pub(super) struct StreamSettings {
     /// ONNX Runtime library [default: looked for; `loci doctor` says where]
     #[arg(long, env = "LOCI_ONNXRUNTIME", value_name = "PATH")]
     pub(super) onnxruntime: Option<PathBuf>,
-    /// Where the robot was: TUM's lines of time and pose, or CSV of time, lat, lon; looked up at the time of every frame
-    #[arg(long, env = "LOCI_POSE", value_name = "FILE")]
-    pub(super) pose: Option<PathBuf>,
+    /// Where the robot was: a file of TUM's lines of time and pose, or CSV of time, lat, lon. For a camera also
+    /// gpsd[:HOST[:PORT]], or unix:PATH, a socket to which such lines are written. Looked up at the time of every frame
+    #[arg(long, env = "LOCI_POSE", value_name = "FROM")]
+    pub(super) pose: Option<PoseAddress>,
+    /// Play a recording at this rate, as a camera would give it: whoever is slow misses frames
+    #[arg(long, env = "LOCI_PLAY_FPS", value_name = "FPS")]
+    pub(super) play_fps: Option<f64>,
     /// Process every N-th frame [default: 1; of a camera or video about three a second]
     #[arg(long, env = "LOCI_SAMPLE_INTERVAL", value_name = "N")]
     pub(super) sample_interval: Option<NonZero<u32>>,
@@ -75,7 +81,11 @@ pub(super) struct StreamSettings {
     /// Show it in rerun: off, spawn, connect=ADDR, serve[=ADDR] or save=FILE.rrd [default: off]
     #[arg(long, env = "LOCI_RERUN", value_name = "TARGET")]
     pub(super) rerun: Option<String>,
-    /// Threads of the CNN [default: 1]
+    /// Processor time that all of it may take: a share of one core such as 50%, or cores such as 1.5. Frames of a
+    /// camera beyond that are left out, files are read more slowly [default: all there is]
+    #[arg(long, env = "LOCI_CPU_BUDGET", value_name = "CORES")]
+    pub(super) cpu_budget: Option<CpuBudget>,
+    /// Threads of the CNN [default: 1, or what the CPU budget leaves beside one core]
     #[arg(long, env = "LOCI_THREADS", value_name = "N")]
     pub(super) threads: Option<NonZero<u32>>,
 }
@@ -109,12 +119,14 @@ impl StreamSettings {
             model: self.model.or(other.model),
             onnxruntime: self.onnxruntime.or(other.onnxruntime),
             pose: self.pose.or(other.pose),
+            play_fps: self.play_fps.or(other.play_fps),
             sample_interval: self.sample_interval.or(other.sample_interval),
             place_interval: self.place_interval.or(other.place_interval),
             sequence: self.sequence.or(other.sequence),
             read_only: self.read_only.or(other.read_only),
             grow_vocabulary: self.grow_vocabulary.or(other.grow_vocabulary),
             rerun: self.rerun.or(other.rerun),
+            cpu_budget: self.cpu_budget.or(other.cpu_budget),
             threads: self.threads.or(other.threads),
         }
     }

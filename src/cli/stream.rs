@@ -6,10 +6,10 @@ use std::sync::atomic::AtomicBool;
 use bytesize::ByteSize;
 use loci::cnn::{CnnError, DescriptorModel, ModelCard, OnnxRuntime};
 use loci::feature::{OrbExtractor, OrbOptions};
-use loci::pipeline::{ModelFolder, Pipeline};
+use loci::pipeline::{CpuBudget, ModelFolder, Pipeline};
 use loci::place_map::{MapError, MapOptions, PlaceMap};
 use loci::recognition::{Recogniser, RecognitionOptions};
-use loci::source;
+use loci::source::{self, FrameSource};
 use loci::telemetry::RecognitionSink;
 use loci::vocabulary::VocabularySet;
 
@@ -34,7 +34,16 @@ pub(super) fn pipeline(
     let sample_interval = settings.sample_interval.map(|interval| u64::from(interval.get()));
     let mut source = source::open(source, sample_interval)?;
     if let Some(poses) = &settings.pose {
+        if poses.is_live() && !source.is_live() {
+            let reason = format!(
+                "--pose {poses} tells where the robot is now: for frames of another day, name a file"
+            );
+            return Err(WrongArgument(reason).into());
+        }
         source = Box::new(source::PosedSource::open(source, poses)?);
+    }
+    if let Some(fps) = settings.play_fps {
+        source = played(source, fps)?;
     }
     let vocabularies = VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?;
     let (model, model_folder) = open_cnn(settings)?.unzip();
@@ -51,7 +60,20 @@ pub(super) fn pipeline(
     // Last, so that a run that cannot start replaces no recording and opens no viewer.
     sinks.extend(rerun_sink(&rerun)?);
     let extractor = OrbExtractor::new(OrbOptions::default());
-    Ok(Pipeline { source, extractor, model, model_folder, recogniser, sinks })
+    let budget = settings.cpu_budget;
+    Ok(Pipeline { source, extractor, model, model_folder, recogniser, sinks, budget })
+}
+
+/// A recording, played at this rate.
+fn played(source: Box<dyn FrameSource>, fps: f64) -> anyhow::Result<Box<dyn FrameSource>> {
+    if source.is_live() {
+        let reason = "--play-fps plays recordings; a camera has its own rate: v4l2:DEVICE?fps=30".to_owned();
+        return Err(WrongArgument(reason).into());
+    }
+    if !(0.01..=1000.0).contains(&fps) {
+        return Err(WrongArgument(format!("--play-fps {fps}: expected 0.01 to 1000 frames a second")).into());
+    }
+    Ok(Box::new(source::PacedSource::new(source, fps)))
 }
 
 /// The map of `settings`; where there is one but it is damaged or its folder cannot be written, for reading, with the
@@ -125,7 +147,8 @@ fn open_cnn(settings: &StreamSettings) -> anyhow::Result<Option<(DescriptorModel
         Err(error) => return Err(error.into()),
     };
     let path = assets::find(settings.model.as_deref(), assets::MODEL, "--model")?;
-    let threads = settings.threads.map_or(1, |threads| threads.get() as usize);
+    let threads = settings.threads.or(settings.cpu_budget.map(CpuBudget::cnn_threads));
+    let threads = threads.map_or(1, |threads| threads.get() as usize);
     let folder = ModelFolder { path, runtime, threads };
     Ok(Some((folder.open()?, folder)))
 }

@@ -228,7 +228,7 @@ impl TraversePlan {
         let mut observations = Vec::new();
         let spans_folders = self.spans_folders();
         let perception = Perception::new(&mut eyes.extractor, &eyes.vocabularies, eyes.model.as_mut());
-        let skipped = perception.run(self.source()?, stop, watcher, |seen| {
+        let losses = perception.run(self.source()?, stop, watcher, |seen| {
             let number = self.number(&seen.frame);
             observations.push(self.observation(seen, number, (spans_folders, keeps_pictures)));
             Ok::<_, EvaluationError>(ControlFlow::Continue(()))
@@ -240,7 +240,7 @@ impl TraversePlan {
             return Err(EvaluationError::NoFrames { name: self.name.clone() });
         }
         let end = observations.last().map_or(0, |last| last.number + self.sample_interval.max(1));
-        Ok(Traverse { name: self.name.clone(), observations, skipped, end })
+        Ok(Traverse { name: self.name.clone(), observations, skipped: losses.unreadable, end })
     }
 
     fn observation(

@@ -76,7 +76,7 @@ impl<'a> Describer<'a> {
             Err(failure) => self.go_back(failure, image),
         };
         let model = ModelInUse { card: Arc::clone(&self.card), is_on_trial: self.trial.is_some() };
-        Described { descriptor, model, cnn_us: micros(started) }
+        Described { descriptor, model, cnn_us: micros(started), waiting: 0 }
     }
 
     /// Describes by `new` from now on, and answers by what it was until now.

@@ -1,23 +1,33 @@
 //! The stream: its threads and the queues between them.
 //!
 //! ```text
-//! capture ─┬─> features ─┐
-//!          └─> cnn ──────┴─> recognition ──> sinks
-//!               ▲               ▲
-//!               └─── models ────┘
+//! capture ──> features ────┬─> recognition ─┬─> sink
+//!                │         │        ▲       └─> sink
+//!                └──> cnn ─┘        │
+//!                      ▲            │
+//!                      └── models ──┘
 //! ```
 //!
-//! Queues are bounded, and a full one holds up the stage before it, so memory does not grow; files
-//! lose no frame. Whatever ends one stage (the last frame, a failure, the stop flag) closes its queue,
-//! and the others follow.
+//! Every box is a thread, and finding features goes on while the CNN looks at the same frame. Queues are bounded, so
+//! memory does not grow. A full one holds up the stage before it, and files lose no frame; a live source cannot be held
+//! up, so there the oldest frame gives way, and a sink that is slow misses records. Whatever ends one stage (the last
+//! frame, a failure, the stop flag) closes its queue, and the others follow.
 
+mod capture;
+mod decider;
+mod delivery;
 mod desk;
 mod exchange;
+#[cfg(test)]
+mod flow_tests;
 mod folder_watch;
+mod intake;
 mod model_keeper;
 #[cfg(all(test, feature = "cnn"))]
 mod model_tests;
+mod pacing;
 mod perception;
+mod pool;
 mod self_test;
 mod stages;
 mod summary;
@@ -25,8 +35,9 @@ mod watcher;
 
 pub use exchange::ModelInUse;
 pub use model_keeper::ModelFolder;
+pub use pacing::{BudgetError, CpuBudget};
 pub use perception::{Perception, PerceptionLatency, Seen};
-pub use summary::{RunSummary, StageStatistics};
+pub use summary::{ANSWER, RunSummary, StageStatistics};
 pub use watcher::Watcher;
 
 use std::sync::atomic::AtomicBool;
@@ -40,10 +51,14 @@ use crate::place_map::Durability;
 use crate::recognition::Recogniser;
 use crate::source::FrameSource;
 use crate::telemetry::{RecognitionSink, TelemetryError};
+use decider::{Decider, Visit};
+use delivery::Delivery;
 use model_keeper::ModelKeeper;
 
 /// Frames that wait between two stages at most.
 const QUEUE_FRAMES: usize = 4;
+/// Looks whose memory waits to be used again.
+const SPARE_LOOKS: usize = 4;
 
 /// Why a stream ended early.
 #[derive(Debug, thiserror::Error)]
@@ -71,15 +86,18 @@ pub struct Pipeline {
     pub recogniser: Recogniser,
     /// Where recognitions go.
     pub sinks: Vec<Box<dyn RecognitionSink>>,
+    /// Processor time that all of it may take, if not as much as there is.
+    pub budget: Option<CpuBudget>,
 }
 
 impl Pipeline {
     /// Runs the stream to its end or until `stop` is set; then everything learnt is on the medium.
     ///
     /// # Errors
-    /// If a sink refuses a record or no thread can be had. A map that fails ends nothing: the watcher hears of it.
+    /// If a sink refuses a record of a source that is not live, or no thread can be had. A map that fails ends nothing:
+    /// the watcher hears of it, as it does of the sinks of a live source.
     pub fn run(self, stop: &AtomicBool, watcher: &dyn Watcher) -> Result<RunSummary, PipelineError> {
-        let Self { source, mut extractor, mut model, model_folder, recogniser, sinks } = self;
+        let Self { source, mut extractor, mut model, model_folder, recogniser, sinks, budget } = self;
         let kept = model_folder.filter(|_| recogniser.has_cnn()).zip(model.as_ref());
         let kept = kept.map(|(folder, model)| ModelKeeper::new(folder, model.card(), watcher));
         let (keeper, desk, exchange) = match kept {
@@ -87,17 +105,17 @@ impl Pipeline {
             None => (None, None, None),
         };
         let vocabularies = recogniser.vocabularies().clone();
-        let (to_sinks, records) = bounded(QUEUE_FRAMES);
         let upkeep = match recogniser.map().options().durability {
             Durability::Interval(interval) => Some((recogniser.map().syncer(), interval)),
             Durability::Every | Durability::None => None,
         };
         let shows_matched = sinks.iter().any(|sink| sink.shows_matched_keyframe());
+        let delivery = Delivery::start(sinks, source.is_live())?;
+        let (spare, spared) = bounded(SPARE_LOOKS);
         thread::scope(|scope| {
-            let delivery = stages::named("sinks").spawn_scoped(scope, || stages::deliver(sinks, records))?;
-            let perception =
-                Perception::new(&mut extractor, &vocabularies, model.as_mut()).replacing_by(exchange);
-            let perceive = |visit: stages::Visit<'_>| perception.run(source, stop, watcher, visit);
+            let perception = Perception::new(&mut extractor, &vocabularies, model.as_mut());
+            let perception = perception.replacing_by(exchange).within(budget).reusing(spared);
+            let perceive = |visit: Visit<'_>| perception.run(source, stop, watcher, visit);
             let (keeping, ended) = bounded(0);
             if let Some((syncer, interval)) = upkeep {
                 stages::named("map").spawn_scoped(scope, move || stages::keep(&syncer, interval, &ended))?;
@@ -105,15 +123,10 @@ impl Pipeline {
             if let Some(keeper) = keeper {
                 stages::named("models").spawn_scoped(scope, move || keeper.run())?;
             }
-            let decider = stages::Decider { recogniser, desk, to_sinks, shows_matched };
-            let recognised = decider.run(perceive, watcher);
+            let decider = Decider { recogniser, desk, delivery, spare, shows_matched, watcher };
+            let summary = decider.run(perceive);
             drop::<Sender<()>>(keeping);
-            let delivered = stages::joined(delivery);
-            let summary = recognised?;
-            match delivered {
-                Err(TelemetryError::ReaderGone) | Ok(()) => Ok(summary),
-                Err(error) => Err(error.into()),
-            }
+            summary
         })
     }
 }

@@ -150,6 +150,7 @@ impl Robot {
             model_folder: Some(folder),
             recogniser,
             sinks: Vec::new(),
+            budget: None,
         };
         pipeline.run(&AtomicBool::new(false), heard).unwrap()
     }

@@ -3,19 +3,23 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::time::Instant;
 use std::{io, thread};
 
-use crossbeam_channel::bounded;
+use crossbeam_channel::{Receiver, bounded, never};
 
+use super::capture::Capture;
 use super::exchange::{Describer, Exchange, ModelInUse};
-use super::stages::{self, Inputs};
+use super::intake::{Captured, intake};
+use super::pacing::{CpuBudget, Pace};
+use super::stages::{self, Extraction, Inputs};
 use super::{QUEUE_FRAMES, Watcher};
 use crate::cnn::DescriptorModel;
 use crate::feature::OrbExtractor;
 use crate::frame::Frame;
 use crate::recognition::Look;
 use crate::source::FrameSource;
-use crate::telemetry::CnnStatus;
+use crate::telemetry::{CnnStatus, Flow, Losses, Waiting};
 use crate::vocabulary::VocabularySet;
 
 /// A frame and what was seen in it.
@@ -31,6 +35,10 @@ pub struct Seen {
     pub model: Option<ModelInUse>,
     /// How long it took.
     pub latency: PerceptionLatency,
+    /// When it was captured; where the source is not live, when reading it began.
+    pub captured_at: Instant,
+    /// How the stream keeps pace with its source, as far as sinks have no part in it.
+    pub flow: Flow,
 }
 
 /// Time that perception took, in microseconds.
@@ -61,6 +69,10 @@ pub struct Perception<'a> {
     pub model: Option<&'a mut DescriptorModel>,
     /// Where other models come from.
     exchange: Option<Exchange>,
+    /// Processor time that all of it may take.
+    budget: Option<CpuBudget>,
+    /// Looks whose memory may be used again.
+    spare: Receiver<Look>,
 }
 
 impl<'a> Perception<'a> {
@@ -71,7 +83,7 @@ impl<'a> Perception<'a> {
         vocabularies: &'a VocabularySet,
         model: Option<&'a mut DescriptorModel>,
     ) -> Self {
-        Self { extractor, vocabularies, model, exchange: None }
+        Self { extractor, vocabularies, model, exchange: None, budget: None, spare: never() }
     }
 
     /// The same, but that models take over which come by `exchange`.
@@ -79,8 +91,18 @@ impl<'a> Perception<'a> {
         Self { exchange, ..self }
     }
 
+    /// The same, but that it looks at no more frames than fit into `budget`.
+    pub(super) fn within(self, budget: Option<CpuBudget>) -> Self {
+        Self { budget, ..self }
+    }
+
+    /// The same, in the memory of looks that come by `spare`.
+    pub(super) fn reusing(self, spare: Receiver<Look>) -> Self {
+        Self { spare, ..self }
+    }
+
     /// Looks at every frame of `source`, in order, until it ends, `stop` is set or `visit` breaks off.
-    /// Answers how many frames could not be read.
+    /// Answers which frames did not come through.
     ///
     /// # Errors
     /// What `visit` answers; or that the system has no thread left.
@@ -90,30 +112,48 @@ impl<'a> Perception<'a> {
         stop: &AtomicBool,
         watcher: &dyn Watcher,
         visit: impl FnMut(Seen) -> Result<ControlFlow<()>, E>,
-    ) -> Result<u64, E> {
-        let Self { extractor, vocabularies, model, exchange } = self;
-        let (to_features, captured) = bounded(QUEUE_FRAMES);
-        let (to_inputs, featured) = bounded(QUEUE_FRAMES);
+    ) -> Result<Losses, E> {
+        let Self { extractor, vocabularies, model, exchange, budget, spare } = self;
+        let depth = QueueDepths::of(source.is_live());
+        let (entrance, exit) = intake(source.is_live());
+        let (to_inputs, featured) = bounded(depth.recognition);
         thread::scope(|scope| {
             let (to_cnn, described) = match model {
                 None => (None, None),
                 Some(model) => {
-                    let (to_cnn, captured) = bounded(QUEUE_FRAMES);
-                    let (to_inputs, described) = bounded(QUEUE_FRAMES);
+                    let (to_cnn, frames) = bounded(depth.cnn);
+                    let (to_inputs, described) = bounded(depth.recognition);
                     let describer = Describer::new(model, exchange);
                     stages::named("cnn")
-                        .spawn_scoped(scope, || stages::describe(describer, captured, to_inputs))?;
+                        .spawn_scoped(scope, || stages::describe(describer, frames, to_inputs))?;
                     (Some(to_cnn), Some(described))
                 }
             };
-            let capture = stages::named("capture")
-                .spawn_scoped(scope, || stages::capture(source, stop, watcher, (to_features, to_cnn)))?;
+            let capture = Capture { source, entrance, pace: budget.map(Pace::new), watcher };
+            let capture = stages::named("capture").spawn_scoped(scope, || capture.run(stop))?;
+            let extraction = Extraction { extractor, vocabularies, spare };
             stages::named("features")
-                .spawn_scoped(scope, || stages::extract(extractor, vocabularies, captured, to_inputs))?;
+                .spawn_scoped(scope, move || extraction.run(&exit, to_cnn, to_inputs))?;
             let visited = visit_all(Inputs { featured, described }, watcher, visit);
-            let skipped = stages::joined(capture);
-            visited.map(|()| skipped)
+            let losses = stages::joined(capture);
+            visited.map(|()| losses)
         })
+    }
+}
+
+/// Frames that wait before a stage at most. Of a live source none waits longer than it has to.
+struct QueueDepths {
+    cnn: usize,
+    recognition: usize,
+}
+
+impl QueueDepths {
+    fn of(is_live: bool) -> Self {
+        if is_live {
+            Self { cnn: 0, recognition: 1 }
+        } else {
+            Self { cnn: QUEUE_FRAMES, recognition: QUEUE_FRAMES }
+        }
     }
 }
 
@@ -126,7 +166,7 @@ fn visit_all<E>(
         if let Some(error) = described.as_ref().and_then(|described| described.descriptor.as_ref().err()) {
             watcher.cnn_failed(&featured.captured.frame.name, error);
         }
-        let seen = seen(featured, described);
+        let seen = seen(featured, described, inputs.featured.len());
         watcher.seen(&seen);
         if visit(seen)?.is_break() {
             break;
@@ -135,17 +175,21 @@ fn visit_all<E>(
     Ok(())
 }
 
-fn seen(featured: stages::Featured, described: Option<stages::Described>) -> Seen {
-    let stages::Featured { captured, features, light, quantised, features_us } = featured;
+/// Puts together what the stages found of a frame, behind which so many wait to be decided.
+fn seen(featured: stages::Featured, described: Option<stages::Described>, recognition: usize) -> Seen {
+    let stages::Featured { captured, mut look, features_us, waiting: features } = featured;
+    let Captured { frame, decode_us, captured_at, losses } = captured;
     let cnn = match &described {
         None => CnnStatus::Unavailable,
         Some(described) if described.descriptor.is_ok() => CnnStatus::Available,
         Some(_) => CnnStatus::Failed,
     };
-    let cnn_us = described.as_ref().map_or(0, |described| described.cnn_us);
+    let (cnn_us, waiting_cnn) =
+        described.as_ref().map_or((0, 0), |described| (described.cnn_us, described.waiting));
     let model = described.as_ref().map(|described| described.model.clone());
-    let appearance = described.and_then(|described| described.descriptor.ok());
-    let latency = PerceptionLatency { decode_us: captured.decode_us, features_us, cnn_us };
-    let look = Look { features, light, quantised, appearance };
-    Seen { frame: captured.frame, look, cnn, model, latency }
+    look.appearance = described.and_then(|described| described.descriptor.ok());
+    let latency = PerceptionLatency { decode_us, features_us, cnn_us };
+    let waiting = Waiting { features, cnn: waiting_cnn, recognition, sinks: 0 };
+    let flow = Flow { waiting, losses, missed_records: 0 };
+    Seen { frame, look, cnn, model, latency, captured_at, flow }
 }

@@ -4,12 +4,16 @@ use super::Seen;
 use crate::cnn::{CnnError, ModelCard};
 use crate::place_map::MapError;
 use crate::source::SourceError;
-use crate::telemetry::FrameRecord;
+use crate::telemetry::{FrameRecord, TelemetryError};
 
 /// Hears what happens while a stream runs.
 pub trait Watcher: Sync {
     /// A frame could not be read and was skipped.
     fn skipped(&self, error: &SourceError);
+    /// The source says something that is no failure: what a camera gives, that it is back.
+    fn noticed(&self, _notice: &str) {}
+    /// Of a live stream, a sink failed and gets no more records.
+    fn sink_failed(&self, _error: &TelemetryError) {}
     /// The CNN failed on a frame, which BoW+HV then decided alone.
     fn cnn_failed(&self, frame_name: &str, error: &CnnError);
     /// The map could not be read or changed; unless the robot `goes_on_learning`, it is only read from here on.

@@ -7,6 +7,7 @@
 mod camera;
 mod codec;
 mod directory;
+mod paced;
 mod poses;
 pub mod synthetic;
 mod video;
@@ -15,11 +16,13 @@ mod video;
 pub use camera::{Camera, CameraControl, CameraFormat, ControlItem, FrameRates, FrameSize, cameras};
 pub use codec::{decode, jpeg, thumbnail_jpeg};
 pub use directory::{DirectorySource, image_files, is_image, sort_naturally};
-pub use poses::{PoseTrack, PosedSource};
+pub use paced::PacedSource;
+pub use poses::{PoseAddress, PoseTrack, PosedSource};
 pub use video::{VideoSource, ffmpeg_version};
 
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::frame::Frame;
 
@@ -28,6 +31,12 @@ pub trait FrameSource: Send {
     /// The next frame, an error about one frame that could not be read, or `None` at the end. A live source answers
     /// within two seconds or so, with [`SourceError::NotYet`] if it has to.
     fn next_frame(&mut self) -> Option<Result<Frame, SourceError>>;
+
+    /// The same; the frame may be made in the memory of `spare`, one that nobody needs any more.
+    fn next_frame_in(&mut self, spare: Option<Frame>) -> Option<Result<Frame, SourceError>> {
+        drop(spare);
+        self.next_frame()
+    }
 
     /// How many calls of [`next_frame`](Self::next_frame) will answer, if that is known beforehand.
     fn frame_count(&self) -> Option<u64>;
@@ -132,6 +141,12 @@ impl<'a> From<&'a str> for Address<'a> {
             _ => Self::Path(Path::new(text)),
         }
     }
+}
+
+/// The wall clock in nanoseconds since the Unix epoch.
+pub(crate) fn wall_nanos() -> i64 {
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since_epoch.as_nanos()).unwrap_or(i64::MAX)
 }
 
 /// Opens `source` (a folder, an image, a video file, `synthetic:…` or `v4l2:…`) and hands out every

@@ -4,7 +4,7 @@ use std::io::Write;
 
 use serde::Serialize;
 
-use super::{CnnStatus, FrameRecord, RecognitionSink, StageLatency, TelemetryError};
+use super::{CnnStatus, Flow, FrameRecord, Losses, RecognitionSink, StageLatency, TelemetryError, Waiting};
 use crate::recognition::{Candidate, Evidence};
 
 /// Writes records as JSON Lines and flushes each, so that a reader is never behind.
@@ -50,6 +50,7 @@ struct Line<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     model: Option<&'a str>,
     latency_us: LatencyLine,
+    flow: FlowLine,
 }
 
 #[derive(Serialize)]
@@ -72,6 +73,25 @@ struct LatencyLine {
     retrieval: u64,
     verification: u64,
     total: u64,
+    answer: u64,
+}
+
+#[derive(Serialize)]
+struct FlowLine {
+    unreadable: u64,
+    lost: u64,
+    dropped: u64,
+    spared: u64,
+    missed: u64,
+    waiting: WaitingLine,
+}
+
+#[derive(Serialize)]
+struct WaitingLine {
+    features: usize,
+    cnn: usize,
+    recognition: usize,
+    sinks: usize,
 }
 
 impl<'a> From<&'a FrameRecord> for Line<'a> {
@@ -96,6 +116,7 @@ impl<'a> From<&'a FrameRecord> for Line<'a> {
             },
             model: record.model.as_deref(),
             latency_us: LatencyLine::from(record.latency),
+            flow: FlowLine::from(record.flow),
         }
     }
 }
@@ -122,6 +143,22 @@ impl From<StageLatency> for LatencyLine {
             retrieval: latency.retrieval_us,
             verification: latency.verification_us,
             total: latency.total_us,
+            answer: latency.answer_us,
+        }
+    }
+}
+
+impl From<Flow> for FlowLine {
+    fn from(flow: Flow) -> Self {
+        let Losses { unreadable, lost, dropped, spared } = flow.losses;
+        let Waiting { features, cnn, recognition, sinks } = flow.waiting;
+        Self {
+            unreadable,
+            lost,
+            dropped,
+            spared,
+            missed: flow.missed_records,
+            waiting: WaitingLine { features, cnn, recognition, sinks },
         }
     }
 }
@@ -192,10 +229,14 @@ mod tests {
             retrieval_us: 120,
             verification_us: 60,
             total_us: 2600,
+            answer_us: 3100,
         };
         let cnn = CnnStatus::Available;
-        let (frame, look) = (Arc::new(frame), Arc::new(Look::default()));
-        FrameRecord { frame, look, recognition, matched: None, cnn, model: None, latency }
+        let (frame, look) = (Arc::new(frame), Look::default());
+        let waiting = Waiting { features: 1, cnn: 0, recognition: 2, sinks: 4 };
+        let losses = Losses { unreadable: 2, lost: 3, dropped: 7, spared: 5 };
+        let flow = Flow { waiting, losses, missed_records: 9 };
+        FrameRecord { frame, look, recognition, matched: None, cnn, model: None, latency, flow }
     }
 
     fn line(record: &FrameRecord) -> String {
@@ -212,7 +253,9 @@ mod tests {
             r#""candidates":[{"place":17,"by":"cnn","score":0.993,"probability":0.974},"#,
             r#"{"place":9,"by":"bow_hv","score":0.041,"inliers":6,"probability":0.004,"#,
             r#""rejected":"probability 0.004 < 0.500"}],"#,
-            r#""latency_us":{"decode":310,"features":980,"cnn":2100,"retrieval":120,"verification":60,"total":2600}}"#,
+            r#""latency_us":{"decode":310,"features":980,"cnn":2100,"retrieval":120,"verification":60,"total":2600,"#,
+            r#""answer":3100},"flow":{"unreadable":2,"lost":3,"dropped":7,"spared":5,"missed":9,"#,
+            r#""waiting":{"features":1,"cnn":0,"recognition":2,"sinks":4}}}"#,
             "\n"
         );
         assert_eq!(line(&record()), expected);

@@ -21,7 +21,7 @@ pub struct FrameRecord {
     /// The frame.
     pub frame: Arc<Frame>,
     /// What was seen in it.
-    pub look: Arc<Look>,
+    pub look: Look,
     /// What was decided.
     pub recognition: Recognition,
     /// The keyframe that was matched, if a sink asked for it.
@@ -32,6 +32,8 @@ pub struct FrameRecord {
     pub model: Option<String>,
     /// How long each stage took.
     pub latency: StageLatency,
+    /// How the stream keeps pace with its source.
+    pub flow: Flow,
 }
 
 /// The keyframe that a frame was matched with, as a picture.
@@ -77,6 +79,46 @@ pub struct StageLatency {
     /// decision with its storing, and a few keyframes described anew where a model is replaced. Waiting in queues is
     /// left out.
     pub total_us: u64,
+    /// From capture to the answer, waiting included: of a live source from when the frame was taken, else from when
+    /// reading it began.
+    pub answer_us: u64,
+}
+
+/// How a stream keeps pace with its source, as of one frame; losses are counted from the beginning.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Flow {
+    /// Depths of the queues.
+    pub waiting: Waiting,
+    /// Frames that did not come through.
+    pub losses: Losses,
+    /// Records of a live stream that a sink was too slow to take.
+    pub missed_records: u64,
+}
+
+/// Frames that did not come through so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Losses {
+    /// That could not be read.
+    pub unreadable: u64,
+    /// That nobody fetched from the device in time.
+    pub lost: u64,
+    /// Of a live source, that gave way to newer ones.
+    pub dropped: u64,
+    /// That were left out to stay within the CPU budget.
+    pub spared: u64,
+}
+
+/// How much waited behind a frame when its turn came.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Waiting {
+    /// Frames, to have their features found.
+    pub features: usize,
+    /// Frames, to be described by the CNN.
+    pub cnn: usize,
+    /// Frames, to be decided.
+    pub recognition: usize,
+    /// Records, to be taken by the slowest sink.
+    pub sinks: usize,
 }
 
 /// Somewhere that recognitions go.
@@ -117,6 +159,16 @@ pub enum TelemetryError {
         /// What rerun said, and what to do.
         reason: String,
     },
+}
+
+impl TelemetryError {
+    /// Nothing where whoever read the output has gone.
+    ///
+    /// # Errors
+    /// Any other one.
+    pub(crate) fn unless_reader_gone(self) -> Result<(), Self> {
+        if matches!(self, Self::ReaderGone) { Ok(()) } else { Err(self) }
+    }
 }
 
 impl From<io::Error> for TelemetryError {

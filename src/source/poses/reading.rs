@@ -16,7 +16,6 @@ const MOST_LINE_BYTES: u64 = 4096;
 const MOST_POSES: usize = 60_000_000;
 /// Times beyond this many seconds from the epoch are no times.
 const MOST_SECONDS: f64 = 9e9;
-const UPRIGHT: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
 
 /// What the columns of a CSV may be called.
 const TIME_NAMES: [&str; 4] = ["time", "timestamp", "t", "time_s"];
@@ -47,10 +46,7 @@ impl PoseTrack {
             }
             let wrong =
                 |reason: String| SourceError::BadPoses { path: path.to_owned(), line: number, reason };
-            let text = line.trim();
-            if !text.is_empty() && !text.starts_with('#') {
-                poses.extend(format.pose(text).map_err(wrong)?);
-            }
+            poses.extend(format.pose_of(line.trim()).map_err(wrong)?);
             if poses.len() > MOST_POSES {
                 return Err(wrong(format!("more than {MOST_POSES} poses are too many")));
             }
@@ -64,15 +60,16 @@ impl PoseTrack {
 }
 
 /// How the lines are to be read; the first one tells.
-enum Format {
+#[derive(Debug)]
+pub(super) enum Format {
     Unknown,
     Tum,
     Positions { columns: Columns, frame: Option<LocalFrame> },
 }
 
 /// Where a CSV has what.
-#[derive(Clone, Copy)]
-struct Columns {
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Columns {
     time: usize,
     latitude: usize,
     longitude: usize,
@@ -80,7 +77,12 @@ struct Columns {
 }
 
 impl Format {
-    /// The pose of a line and its time in nanoseconds; `None` of the line that names the columns.
+    /// The pose of a line and its time in nanoseconds; `None` of a comment, an empty line, and of the one that names
+    /// the columns.
+    pub(super) fn pose_of(&mut self, line: &str) -> Result<Option<(i64, Pose)>, String> {
+        if line.is_empty() || line.starts_with('#') { Ok(None) } else { self.pose(line) }
+    }
+
     fn pose(&mut self, line: &str) -> Result<Option<(i64, Pose)>, String> {
         match self {
             Self::Unknown => {
@@ -92,7 +94,7 @@ impl Format {
                 let (nanos, degrees, altitude_metres) = columns.position(line)?;
                 let frame = frame.get_or_insert_with(|| LocalFrame::near(degrees));
                 let position_metres = frame.metres(degrees, altitude_metres);
-                Ok(Some((nanos, Pose { position_metres, orientation: UPRIGHT })))
+                Ok(Some((nanos, Pose { position_metres, orientation: Pose::UPRIGHT })))
             }
         }
     }

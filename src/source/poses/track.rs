@@ -46,7 +46,7 @@ impl PoseTrack {
 }
 
 /// The pose that lies at `share` of the way from one to another.
-fn between(from: &Pose, to: &Pose, share: f64) -> Pose {
+pub(super) fn between(from: &Pose, to: &Pose, share: f64) -> Pose {
     let along = |axis: usize| {
         from.position_metres[axis] + share * (to.position_metres[axis] - from.position_metres[axis])
     };

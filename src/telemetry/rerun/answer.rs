@@ -10,7 +10,7 @@ use ::rerun::{
 use super::style;
 use super::target::one_line;
 use crate::recognition::{Candidate, Decision, Evidence, Recognition};
-use crate::telemetry::{CnnStatus, FrameRecord, StageLatency};
+use crate::telemetry::{CnnStatus, Flow, FrameRecord, Losses, StageLatency};
 
 /// Candidates that the answer lists.
 const LISTED: usize = 6;
@@ -36,7 +36,7 @@ pub(super) fn dress(stream: &RecordingStream) -> RecordingStreamResult<()> {
     let inliers =
         SeriesPoints::new().with_names(["inliers"]).with_colors([style::GREEN]).with_marker_sizes([3.0]);
     stream.log_static(style::INLIERS, &inliers)?;
-    for (path, name, colour) in style::LATENCIES {
+    for (path, name, colour) in style::LATENCIES.into_iter().chain(style::FLOW) {
         stream.log_static(path, &line(name, colour, 1.2))?;
     }
     Ok(())
@@ -57,6 +57,9 @@ pub(super) fn show(stream: &RecordingStream, record: &FrameRecord) -> RecordingS
     for ((path, ..), micros) in style::LATENCIES.into_iter().zip(in_order(record.latency)) {
         stream.log(path, &Scalars::single(micros as f64 / 1e3))?;
     }
+    for ((path, ..), count) in style::FLOW.into_iter().zip(counts(record.flow)) {
+        stream.log(path, &Scalars::single(count as f64))?;
+    }
     stream.log(style::NOW, &TextDocument::from_markdown(markdown(record)))?;
     let line = TextLog::new(log_line(record))
         .with_level(level(record))
@@ -71,9 +74,18 @@ pub(super) fn show_gap(stream: &RecordingStream, frames: u64) -> RecordingStream
 }
 
 /// In the order of [`style::LATENCIES`].
-fn in_order(latency: StageLatency) -> [u64; 6] {
-    let StageLatency { decode_us, features_us, cnn_us, retrieval_us, verification_us, total_us } = latency;
-    [total_us, decode_us, features_us, cnn_us, retrieval_us, verification_us]
+fn in_order(latency: StageLatency) -> [u64; 7] {
+    let StageLatency { decode_us, features_us, cnn_us, retrieval_us, verification_us, total_us, answer_us } =
+        latency;
+    [answer_us, total_us, decode_us, features_us, cnn_us, retrieval_us, verification_us]
+}
+
+/// In the order of [`style::FLOW`].
+fn counts(flow: Flow) -> [u64; 9] {
+    let Flow { waiting, losses: Losses { unreadable, lost, dropped, spared }, missed_records } = flow;
+    let waiting = [waiting.features, waiting.cnn, waiting.recognition, waiting.sinks];
+    let [features, cnn, recognition, sinks] = waiting.map(|count| count as u64);
+    [features, cnn, recognition, sinks, unreadable, lost, dropped, spared, missed_records]
 }
 
 fn level(record: &FrameRecord) -> &'static str {

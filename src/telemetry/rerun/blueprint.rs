@@ -77,6 +77,7 @@ impl Layout {
             self.confidence(),
             self.series("Effective inliers", style::INLIERS, None),
             self.series("Latency in ms", "latency", Some(Corner2D::LeftTop)),
+            self.series("Queues and losses", "flow", Some(Corner2D::LeftTop)),
         ]);
         let curves =
             Vertical::new([self.series("Place", style::PLACE, Some(Corner2D::LeftTop)), measures.into()]);

@@ -39,13 +39,27 @@ pub(super) const NOW: &str = "recognition/now";
 pub(super) const LOG: &str = "recognition/log";
 
 /// Stages with the paths of their latencies and colours.
-pub(super) const LATENCIES: [(&str, &str, Color); 6] = [
+pub(super) const LATENCIES: [(&str, &str, Color); 7] = [
+    ("latency/answer", "capture to answer", ORANGE),
     ("latency/total", "total", WHITE),
     ("latency/decode", "decode", GREY),
     ("latency/features", "features", GREEN),
     ("latency/cnn", "CNN", BLUE),
     ("latency/retrieval", "retrieval", YELLOW),
     ("latency/verification", "verification", PURPLE),
+];
+
+/// What waits before which stage, and what was lost so far, with paths and colours.
+pub(super) const FLOW: [(&str, &str, Color); 9] = [
+    ("flow/waiting/features", "wait for features", GREEN),
+    ("flow/waiting/cnn", "wait for the CNN", BLUE),
+    ("flow/waiting/recognition", "wait for recognition", YELLOW),
+    ("flow/waiting/sinks", "wait for a sink", PURPLE),
+    ("flow/unreadable", "unreadable", rgb(0xD55E00)),
+    ("flow/lost", "lost by the device", GREY),
+    ("flow/dropped", "dropped", ORANGE),
+    ("flow/spared", "spared for the budget", FAINT),
+    ("flow/missed", "missed by a sink", WHITE),
 ];
 
 const fn rgb(hex: u32) -> Color {

@@ -19,7 +19,7 @@ use crate::kernel::luma;
 use crate::place_map::{ExperienceId, PlaceId};
 use crate::raster::RgbImage;
 use crate::recognition::{Candidate, Candidates, Decision, Evidence, Grounds, Look, Recognition, Rejection};
-use crate::telemetry::{CnnStatus, MatchedKeyframe, StageLatency};
+use crate::telemetry::{CnnStatus, Flow, Losses, MatchedKeyframe, StageLatency};
 use crate::verification::{Correspondence, Verification};
 
 /// The header of a JPEG of 64×48 pixels, which is all that the sink looks at.
@@ -72,12 +72,13 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
     };
     FrameRecord {
         frame: Arc::new(frame),
-        look: Arc::new(Look { features, ..Look::default() }),
+        look: Look { features, ..Look::default() },
         recognition,
         matched: None,
         cnn: CnnStatus::Available,
         model: None,
         latency: StageLatency { total_us: 2600, ..StageLatency::default() },
+        flow: Flow { losses: Losses { dropped: 3, ..Losses::default() }, ..Flow::default() },
     }
 }
 
