@@ -9,7 +9,7 @@ FEATURES ?= v4l
 # What is run for ARM: all that computes in inner loops or reads mapped numbers.
 ARM_TESTS ?= kernel:: feature:: retrieval:: verification:: vocabulary:: storage:: kept_index:: cnn::preprocess
 
-.PHONY: help demo test test-train test-data test-arm test-large test-crash soak benchmarks lint bench fuzz deps system-deps test-deps arm-deps fuzz-deps
+.PHONY: help demo test test-train test-data test-arm test-large test-crash test-camera camera-machine soak benchmarks lint bench fuzz deps system-deps test-deps arm-deps camera-deps fuzz-deps
 
 help: ## What can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -38,6 +38,12 @@ test-large: ## A training from a hundred million descriptors, its memory measure
 
 test-crash: ## Runs killed 580 times; what they had answered must be in their maps: minutes
 	$(CARGO) test --release --no-default-features --features cli --test crash -- --ignored --nocapture
+
+test-camera: camera-machine ## Cameras that come and go, in a virtual machine: a minute, and minutes to build it
+	tests/camera/run.sh
+
+camera-machine: camera-deps ## The virtual machine of test-camera: a Debian kernel, loci without libraries, a drive
+	CARGO="$(CARGO)" tests/camera/prepare.sh
 
 soak: ## A million frames, or LOCI_SOAK_FRAMES; memory must stay flat: a quarter of an hour
 	$(CARGO) test --release --no-default-features --test soak -- --ignored --nocapture
@@ -69,6 +75,10 @@ system-deps: ## Debian or Ubuntu packages that are missing
 arm-deps: ## Rust's library for 64-bit ARM, a linker, and the emulator
 	@deploy/install-packages.sh gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user-static
 	@rustup target add aarch64-unknown-linux-gnu
+
+camera-deps: ## What the virtual machine is made of and runs in
+	@deploy/install-packages.sh qemu-system-x86 busybox-static cpio kmod xz-utils make gcc libc6-dev libelf1 \
+		libclang-dev python3
 
 fuzz-deps: ## cargo-fuzz and the C++ compiler that libFuzzer needs
 	@deploy/install-packages.sh g++
