@@ -132,8 +132,8 @@ pub(super) fn rgb_from_nv12(
     image(RgbImage::from_pixels(layout.width_px, layout.height_px, pixels))
 }
 
-/// The colour image in a GREY buffer, whose channels are all alike; the error says how many bytes are missing. Its pixels
-/// are made in the memory of `spare`.
+/// The colour image in a GREY buffer, whose channels are all alike; the error says how many bytes are missing. Its
+/// pixels are made in the memory of `spare`.
 pub(super) fn rgb_from_grey(bytes: &[u8], layout: Layout, spare: Vec<u8>) -> Result<RgbImage, String> {
     let rows = rows(bytes, layout, layout.width_px)?;
     let mut pixels = cleared(spare, layout.width_px * layout.height_px * 3);
