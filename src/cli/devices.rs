@@ -71,8 +71,11 @@ mod listing {
         let mut lines = vec![format!("{}  {}", camera.path.display(), camera.card)];
         lines.extend(camera.link.as_ref().map(|link| format!("  link      {}", link.display())));
         lines.push(format!("  driver    {}, at {}", camera.driver, camera.bus));
-        for format in &camera.formats {
-            lines.extend(format_lines(format));
+        let (read, others): (Vec<_>, Vec<_>) = camera.formats.iter().partition(|format| format.is_read);
+        lines.extend(read.into_iter().flat_map(format_lines));
+        if !others.is_empty() {
+            let names: Vec<&str> = others.iter().map(|format| format.name.as_str()).collect();
+            lines.push(format!("  others    {}, which Loci does not read", names.join(", ")));
         }
         if !camera.controls.is_empty() {
             lines.push("  controls".to_owned());
@@ -86,8 +89,7 @@ mod listing {
     }
 
     fn format_lines(format: &CameraFormat) -> Vec<String> {
-        let is_read = if format.is_read { "" } else { ", which Loci does not read" };
-        let mut lines = vec![format!("  format    {}  {}{is_read}", format.name, format.description)];
+        let mut lines = vec![format!("  format    {}  {}", format.name, format.description)];
         lines.extend(format.sizes.iter().map(|size| format!("            {}", size_text(size))));
         lines
     }
@@ -191,7 +193,9 @@ mod listing {
                 bus: "usb-1".to_owned(),
                 formats: vec![
                     format("mjpg", true, size([640, 480], FrameRates::Each(vec![30.0, 7.5]))),
-                    format("H264", false, range),
+                    format("grey", true, range),
+                    format("H264", false, size([640, 480], FrameRates::Each(vec![30.0]))),
+                    format("UYVY", false, size([640, 480], FrameRates::Each(vec![30.0]))),
                 ],
                 controls: vec![
                     CameraControl { is_inactive: true, step: 5, ..control("gain", "integer") },
@@ -210,8 +214,9 @@ mod listing {
   driver    uvcvideo, at usb-1
   format    mjpg  as it comes
             640x480  30, 7.5 frames/s
-  format    H264  as it comes, which Loci does not read
+  format    grey  as it comes
             16x16 to 1920x1080, in steps of 2x2  1 to 60 frames/s
+  others    H264, UYVY, which Loci does not read
   controls
     gain                            0 to 255 in steps of 5, default 16, now 8, inactive while an automatic sees to it
     auto_exposure                   0 (Auto Mode), 1 (Manual Mode), default 16, now 8

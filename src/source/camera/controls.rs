@@ -47,7 +47,7 @@ pub(super) fn apply(device: &Device, settings: &[(String, Setting)]) -> Result<V
         device
             .set_control(control::Control { id: control.id, value: value_of_kind })
             .map_err(|error| format!("{name}={value} is refused: {}", device::reason(&error)))?;
-        if let Some(given) = query::value(device, control.id).filter(|given| *given != value) {
+        if let Some(given) = query::value(device, control).filter(|given| *given != value) {
             otherwise.push(format!("{name} is {given} ({value} was asked for)"));
         }
     }
@@ -157,7 +157,7 @@ fn allowed(control: &Control) -> String {
 
 fn refuse_inactive(name: &str, control: &Control, controls: &[Control]) -> Result<(), String> {
     if control.flags.contains(Flags::GRABBED) {
-        return Err(format!("control '{name}' is held by another program; close that one"));
+        return Err(format!("control '{name}' is locked while the camera is in use; close whatever uses it"));
     }
     if !control.flags.contains(Flags::INACTIVE) {
         return Ok(());

@@ -204,7 +204,7 @@ fn listed_control(device: &Device, control: &Control) -> CameraControl {
         maximum: control.maximum,
         step: control.step,
         default: control.default,
-        value: query::value(device, control.id),
+        value: query::value(device, control),
         items: control.items.iter().map(item).collect(),
         is_settable: controls::is_settable(control),
         is_inactive: control.flags.contains(Flags::INACTIVE),

@@ -204,7 +204,7 @@ impl<D: Driver> CameraSource<D> {
                 let told = match refusal {
                     None => Some(UNPLUGGED.to_owned()),
                     Some(reason) if self.outage.is_lasting(&reason) => {
-                        Some(format!("it is there again, but cannot be used: {reason}"))
+                        Some(format!("it is there, but cannot be used: {reason}"))
                     }
                     Some(_) => None,
                 };

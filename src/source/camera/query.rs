@@ -110,9 +110,11 @@ pub(super) fn control(device: &Device, id: u32) -> Option<Control> {
     control_of(device, &described(device, id).ok()?)
 }
 
-/// The value of control `id`, if it is one of 32 bits that can be read.
-pub(super) fn value(device: &Device, id: u32) -> Option<i64> {
-    v4l2_control { id, value: 0 }.asked_of(device).ok().map(|answer| answer.value.into())
+/// The value of a control, if it is one of 32 bits that can be read.
+pub(super) fn value(device: &Device, control: &Control) -> Option<i64> {
+    let value = v4l2_control { id: control.id, value: 0 }.asked_of(device).ok()?.value;
+    // A set of bits has no sign.
+    Some(if control.kind == Type::Bitmask { value.cast_unsigned().into() } else { value.into() })
 }
 
 fn described(device: &Device, id: u32) -> io::Result<v4l2_query_ext_ctrl> {

@@ -207,7 +207,7 @@ fn a_camera_that_comes_back_but_refuses_is_told_once_it_does_so_for_a_while() {
     assert_eq!(next(&mut source), not_yet());
     assert_eq!(
         next(&mut source).unwrap_err(),
-        "camera /dev/video0: it is there again, but cannot be used: another program uses it; close that one"
+        "camera /dev/video0: it is there, but cannot be used: another program uses it; close that one"
     );
     assert_eq!(next(&mut source), not_yet());
     stage.script(|script| (script.refusal, script.acts) = (None, [Act::Frame(0)].into()));
