@@ -70,8 +70,8 @@ fn played(source: Box<dyn FrameSource>, fps: f64) -> anyhow::Result<Box<dyn Fram
         let reason = "--play-fps plays recordings; a camera has its own rate: v4l2:DEVICE?fps=30".to_owned();
         return Err(WrongArgument(reason).into());
     }
-    if !(0.01..=1000.0).contains(&fps) {
-        return Err(WrongArgument(format!("--play-fps {fps}: expected 0.01 to 1000 frames a second")).into());
+    if !(1.0..=1000.0).contains(&fps) {
+        return Err(WrongArgument(format!("--play-fps {fps}: expected 1 to 1000 frames a second")).into());
     }
     Ok(Box::new(source::PacedSource::new(source, fps)))
 }
