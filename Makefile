@@ -77,7 +77,7 @@ arm-deps: ## Rust's library for 64-bit ARM, a linker, and the emulator
 	@rustup target add aarch64-unknown-linux-gnu
 
 camera-deps: ## What the virtual machine is made of and runs in
-	@deploy/install-packages.sh qemu-system-x86 busybox-static cpio kmod xz-utils make gcc libc6-dev libelf1 \
+	@deploy/install-packages.sh qemu-system-x86 busybox-static cpio kmod xz-utils make gcc libc6-dev libelf-dev \
 		libclang-dev python3
 
 fuzz-deps: ## cargo-fuzz and the C++ compiler that libFuzzer needs

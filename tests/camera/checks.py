@@ -11,7 +11,7 @@ from pathlib import Path
 # How soon after a camera came back there must be a frame that is answered.
 RECOVERY_S = 2.0
 # How old a frame may be when its answer comes. That much, for every instruction is translated, on a busy machine.
-LATE_S = 5.0
+LATE_S = 10.0
 # How far it may seem to be taken after its answer. Clocks are compared when the first frame arrives, late as that may be.
 EARLY_S = 0.5
 
@@ -84,14 +84,19 @@ def check_replug(verdict, out):
     """A camera is unplugged twice under one loci and comes back, the second time under another number."""
     run = Run(out, "replug")
     check_frames(verdict, "replug", run, 18)
-    gone = [time for time, event in events(out) if event == "vivid is unplugged"]
-    back = [(time, event.split()[-1]) for time, event in events(out) if event.startswith("vivid is back as ")]
-    first = [event.split()[-1] for _, event in events(out) if event.startswith("vivid is video")]
-    verdict.check(len(gone) == 2 and len(back) == 2, "replug: the camera was unplugged and came back twice")
-    for (left, (came, number)) in zip(gone, back):
-        during = [answer for answer in run.answers if left < capture_s(answer) <= came]
+    happened = events(out)
+    gone = [time for time, event in happened if event == "vivid is unplugged"]
+    plugged = [time for time, event in happened if event == "vivid is plugged in"]
+    back = [(time, event.split()[-1]) for time, event in happened if event.startswith("vivid is back as ")]
+    first = [event.split()[-1] for _, event in happened if event.startswith("vivid is video")]
+    verdict.check(
+        len(gone) == 2 and [number[:5] for _, number in back] == ["video"] * 2,
+        "replug: the camera was unplugged and came back twice",
+    )
+    for left, joined, (came, number) in zip(gone, plugged, back):
+        during = [answer for answer in run.answers if left + EARLY_S < capture_s(answer) < joined]
         verdict.check(not during, f"replug: nothing is made up while there is no camera, before {number}", len(during))
-        after = [answer for answer in run.answers if capture_s(answer) > came][:1]
+        after = [answer for answer in run.answers if capture_s(answer) > joined][:1]
         verdict.check(
             after and capture_s(after[0]) - came < RECOVERY_S,
             f"replug: a frame of the first {RECOVERY_S:g} s at {number} is answered",

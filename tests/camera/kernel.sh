@@ -81,7 +81,6 @@ collect() {
         name=$(basename "$module")
         case $name in
         *.xz) xz -dc "$module" >"ready/modules/${name%.xz}" ;;
-        *.zst) zstd -qdc "$module" >"ready/modules/${name%.zst}" ;;
         *) cp "$module" ready/modules ;;
         esac
         name=${name%%.ko*}
