@@ -129,7 +129,8 @@ def check_drive(verdict, out):
     known = [answer for answer in second if answer["decision"] in ("revisited", "recognised")]
     again = [answer for answer in known if answer["place"] in founded]
     share = f"{len(again)} of {len(second)}"
-    verdict.check(second and len(again) >= 0.5 * len(second), "drive: the second lap is recognised, by 50 % at least", share)
+    is_known = second and len(again) >= 0.5 * len(second)
+    verdict.check(is_known, "drive: the second lap is recognised, by 50 % at least", share)
     places = {answer["place"] for answer in again}
     known_again = f"{len(places)} of {len(founded)}"
     verdict.check(len(places) * 4 >= len(founded) * 3 > 0, "drive: as are three places in four", known_again)
