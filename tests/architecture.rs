@@ -39,7 +39,7 @@ const HOMES: [(&str, &[&str]); 32] = [
     ("parquet", &["cli"]),
     ("signal_hook", &["cli"]),
     ("crossbeam_channel", &["pipeline"]),
-    ("rustix", &["pipeline"]),
+    ("rustix", &["pipeline", "source"]),
     ("hdrhistogram", &["pipeline"]),
     ("alphanumeric_sort", &["source"]),
     ("image", &["source"]),

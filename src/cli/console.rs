@@ -1,11 +1,12 @@
 //! What a person at the terminal sees: lines, and of a stream a line a frame, a progress bar, a summary.
 
-use std::fmt::Display;
+use std::fmt::{self, Display};
 use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use loci::cnn::{CnnError, ModelCard};
 use loci::pipeline::{ANSWER, RunSummary, Watcher};
 use loci::place_map::MapError;
@@ -52,7 +53,12 @@ impl<W: Write + Send> RecognitionSink for HumanLines<W> {
             recognition.confidence,
             evidence(recognition),
         );
-        Ok(self.status.suspend(|| writeln!(self.output, "{}", line.trim_end()))?)
+        let line = line.trim_end();
+        // Only there do lines and status meet. Elsewhere nobody may wait for whoever reads the lines.
+        match io::stdout().is_terminal() {
+            true => Ok(self.status.suspend(|| writeln!(self.output, "{line}"))?),
+            false => Ok(writeln!(self.output, "{line}")?),
+        }
     }
 
     fn finish(&mut self) -> Result<(), TelemetryError> {
@@ -80,13 +86,15 @@ pub(super) struct Reporter {
     progress: ProgressBar,
     /// Whether the run was asked to learn.
     is_learning: bool,
+    /// Of a live stream, how it keeps pace.
+    pace: Arc<Mutex<String>>,
     is_live: AtomicBool,
 }
 
 impl Reporter {
     /// A reporter, of a run that is to learn or not, which shows nothing yet.
     pub(super) fn new(is_learning: bool) -> Self {
-        Self { progress: ProgressBar::hidden(), is_learning, is_live: AtomicBool::new(false) }
+        Self { progress: ProgressBar::hidden(), is_learning, pace: Arc::default(), is_live: AtomicBool::new(false) }
     }
 
     /// Lines for people on stdout, above whatever this reporter shows.
@@ -97,19 +105,23 @@ impl Reporter {
     /// Shows on stderr, if that is a terminal, how far the frames of `source` got; of a live one how it keeps pace.
     /// Where `others_write` to the same terminal, nothing.
     pub(super) fn begin(&self, source: &dyn FrameSource, others_write: bool) {
+        self.is_live.store(source.is_live(), Ordering::Relaxed);
         if others_write && io::stdout().is_terminal() {
             return;
         }
         self.progress.set_draw_target(ProgressDrawTarget::stderr());
         if source.is_live() {
-            self.is_live.store(true, Ordering::Relaxed);
-            dress(&self.progress, "{spinner} {pos} frames, {per_sec}; {msg}");
+            let pace = Arc::clone(&self.pace);
+            let shown = move |_: &ProgressState, line: &mut dyn fmt::Write| {
+                let _ = line.write_str(&pace.lock().unwrap_or_else(PoisonError::into_inner));
+            };
+            dress(&self.progress, "{spinner} {pace}", |style| style.with_key("pace", shown));
             return;
         }
         if let Some(frames) = source.frame_count() {
             self.progress.set_length(frames);
         }
-        dress(&self.progress, &bar_template("frames"));
+        dress(&self.progress, &bar_template("frames"), |style| style);
     }
 
     /// Clears the progress bar.
@@ -121,7 +133,7 @@ impl Reporter {
 /// A bar over `length` of `unit` with count and remaining time; a spinner where the length is unknown.
 pub(super) fn progress_bar(length: Option<u64>, unit: &str, target: ProgressDrawTarget) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(length, target);
-    dress(&bar, &bar_template(unit));
+    dress(&bar, &bar_template(unit), |style| style);
     bar
 }
 
@@ -129,10 +141,10 @@ fn bar_template(unit: &str) -> String {
     format!("{{spinner}} {{prefix}}{{wide_bar}} {{pos}}/{{len}} {unit}, {{eta}} left")
 }
 
-fn dress(bar: &ProgressBar, template: &str) {
+fn dress(bar: &ProgressBar, template: &str, with_keys: impl FnOnce(ProgressStyle) -> ProgressStyle) {
     // The template is tried by every run with a terminal.
     if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style);
+        bar.set_style(with_keys(style));
     }
     bar.enable_steady_tick(Duration::from_millis(250));
 }
@@ -143,7 +155,8 @@ fn pace(record: &FrameRecord) -> String {
     let Waiting { features, cnn, recognition, sinks } = record.flow.waiting;
     let milliseconds = record.latency.answer_us as f64 / 1e3;
     let queues = format!("waiting {features} {cnn} {recognition} {sinks}");
-    format!("capture to answer {milliseconds:.1} ms, {queues}, {}", losses(&record.flow))
+    let frame = record.frame.index;
+    format!("frame {frame}: capture to answer {milliseconds:.1} ms, {queues}, {}", losses(&record.flow))
 }
 
 /// What did not come through.
@@ -196,10 +209,13 @@ impl Watcher for Reporter {
     }
 
     fn decided(&self, record: &FrameRecord) {
-        if self.is_live.load(Ordering::Relaxed) {
-            self.progress.set_message(pace(record));
+        if !self.is_live.load(Ordering::Relaxed) {
+            return self.progress.inc(1);
         }
-        self.progress.inc(1);
+        // A live stream does not wait for whoever draws the line, not even for its terminal.
+        if let Ok(mut shown) = self.pace.try_lock() {
+            *shown = pace(record);
+        }
     }
 }
 

@@ -13,8 +13,8 @@ use crate::frame::Frame;
 use crate::source::{FrameSource, SourceError, wall_nanos};
 use crate::telemetry::Losses;
 
-/// Frames whose memory is kept: more than are under way where nobody is slow.
-const POOLED: usize = 12;
+/// Frames whose memory is kept: more than are under way where nobody is slow, and in records that are kept.
+const POOLED: usize = 48;
 /// How long a source that can wait sleeps at most before it looks whether it is to stop.
 const LONGEST_SLEEP: Duration = Duration::from_millis(100);
 /// Age of a frame from which on its clock is not believed.
@@ -74,7 +74,7 @@ impl Capture<'_> {
             return started;
         }
         let age_nanos = wall_nanos().saturating_sub(frame.capture_nanos);
-        // Clocks that were set meanwhile tell nothing.
+        // A clock that was set meanwhile tells nothing.
         let age = u64::try_from(age_nanos).ok().map(Duration::from_nanos).filter(|age| *age < OLDEST);
         let now = Instant::now();
         age.and_then(|age| now.checked_sub(age)).unwrap_or(now)

@@ -20,7 +20,7 @@ use crate::source::thumbnail_jpeg;
 use crate::telemetry::{FrameRecord, Losses, MatchedKeyframe, StageLatency};
 
 /// Records whose memory is kept: more than are under way where no sink is slow.
-const POOLED: usize = 12;
+const POOLED: usize = 24;
 
 /// What is done with a frame that was seen.
 pub(super) type Visit<'a> = &'a mut dyn FnMut(Seen) -> Result<ControlFlow<()>, PipelineError>;
@@ -57,14 +57,15 @@ impl Decider<'_> {
             before.into_iter().for_each(|before| self.give_back(before));
             self.delivery.deliver(&record, self.watcher)
         });
-        let delivered = self.delivery.finish(self.watcher);
-        summary.flow.losses = perceived?;
+        // First of all: whatever became of the sinks, what was learnt is to be on the medium.
         if let Err(failure) = self.recogniser.close() {
             self.watcher.map_failed(&failure, false);
             summary.map_failures += 1;
         }
         summary.map = Some(self.recogniser.map().summary());
-        summary.sink_failures = delivered?;
+        let (sink_failures, missed_records) = self.delivery.finish(self.watcher)?;
+        (summary.sink_failures, summary.flow.missed_records) = (sink_failures, missed_records);
+        summary.flow.losses = perceived?;
         Ok(summary)
     }
 

@@ -68,7 +68,7 @@ impl Delivery {
                     self.missed += 1;
                     position += 1;
                 }
-                Err(TrySendError::Disconnected(_)) => match self.sinks.remove(position).end() {
+                Err(TrySendError::Disconnected(_)) => match self.sinks.remove(position).end(self.is_live) {
                     Err(TelemetryError::ReaderGone) | Ok(()) => return Ok(ControlFlow::Break(())),
                     Err(error) if self.is_live => {
                         watcher.sink_failed(&error);
@@ -81,17 +81,18 @@ impl Delivery {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Waits until the sinks have everything; those of a live stream for a while. Answers how many failed.
+    /// Waits until the sinks have everything; those of a live stream for a while. Answers how many failed, and how many
+    /// records were missed.
     ///
     /// # Errors
     /// If one failed, and the stream is not live.
-    pub(super) fn finish(mut self, watcher: &dyn Watcher) -> Result<u64, PipelineError> {
+    pub(super) fn finish(mut self, watcher: &dyn Watcher) -> Result<(u64, u64), PipelineError> {
         let deadline = Instant::now() + CLOSING;
         let ends: Vec<_> = self.sinks.into_iter().map(Outlet::close).collect();
         for (ended, thread) in ends {
             if self.is_live {
                 // One that hangs is left to the end of the program.
-                let answer = ended.recv_deadline(deadline).unwrap_or(Ok(()));
+                let answer = ended.recv_deadline(deadline).unwrap_or(Err(TelemetryError::Stuck));
                 if let Err(error) = answer.or_else(TelemetryError::unless_reader_gone) {
                     watcher.sink_failed(&error);
                     self.failed += 1;
@@ -100,7 +101,7 @@ impl Delivery {
             }
             joined(&ended, thread).or_else(TelemetryError::unless_reader_gone)?;
         }
-        Ok(self.failed)
+        Ok((self.failed, self.missed))
     }
 }
 
@@ -131,8 +132,12 @@ impl Outlet {
     }
 
     /// How a sink ended that takes nothing any more.
-    fn end(self) -> Result<(), TelemetryError> {
+    fn end(self, is_live: bool) -> Result<(), TelemetryError> {
         let (ended, thread) = self.close();
+        if is_live {
+            // It may have more to clear away than a live stream waits for.
+            return ended.recv().unwrap_or(Err(TelemetryError::Stuck));
+        }
         joined(&ended, thread)
     }
 

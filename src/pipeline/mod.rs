@@ -59,7 +59,7 @@ use perception::Spare;
 /// Frames that wait between two stages at most.
 const QUEUE_FRAMES: usize = 4;
 /// Looks and descriptors whose memory waits to be used again.
-const SPARE: usize = 4;
+const SPARE: usize = 24;
 
 /// Why a stream ended early.
 #[derive(Debug, thiserror::Error)]

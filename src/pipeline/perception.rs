@@ -123,13 +123,13 @@ impl<'a> Perception<'a> {
         let Self { extractor, vocabularies, model, exchange, budget, spare } = self;
         let depth = QueueDepths::of(source.is_live());
         let (entrance, exit) = intake(source.is_live());
-        let (to_inputs, featured) = bounded(depth.recognition);
+        let (to_inputs, featured) = bounded(depth.recognition[0]);
         thread::scope(|scope| {
             let (to_cnn, described) = match model {
                 None => (None, None),
                 Some(model) => {
                     let (to_cnn, frames) = bounded(depth.cnn);
-                    let (to_inputs, described) = bounded(depth.recognition);
+                    let (to_inputs, described) = bounded(depth.recognition[1]);
                     let describer = Describer::new(model, exchange);
                     stages::named("cnn").spawn_scoped(scope, || {
                         stages::describe(describer, (frames, spare.descriptors), to_inputs)
@@ -152,15 +152,16 @@ impl<'a> Perception<'a> {
 /// Frames that wait before a stage at most. Of a live source none waits longer than it has to.
 struct QueueDepths {
     cnn: usize,
-    recognition: usize,
+    /// Of those with features, and of those described.
+    recognition: [usize; 2],
 }
 
 impl QueueDepths {
     fn of(is_live: bool) -> Self {
         if is_live {
-            Self { cnn: 0, recognition: 1 }
+            Self { cnn: 0, recognition: [0, 1] }
         } else {
-            Self { cnn: QUEUE_FRAMES, recognition: QUEUE_FRAMES }
+            Self { cnn: QUEUE_FRAMES, recognition: [QUEUE_FRAMES; 2] }
         }
     }
 }

@@ -126,7 +126,7 @@ pub trait RecognitionSink: Send {
     /// Takes one record.
     ///
     /// # Errors
-    /// If the record cannot be delivered; the stream then ends.
+    /// If the record cannot be delivered; the stream then ends, or, if it is live, goes on without this sink.
     fn record(&mut self, record: &FrameRecord) -> Result<(), TelemetryError>;
 
     /// Delivers what is still held back.
@@ -151,6 +151,9 @@ pub enum TelemetryError {
     /// The output cannot be written.
     #[error("cannot write the output: {0}")]
     Write(io::Error),
+    /// At the end, somebody did not take what was left.
+    #[error("an output took nothing any more; its last records are lost")]
+    Stuck,
     /// rerun said no.
     #[error("rerun {target}: {reason}")]
     Rerun {

@@ -218,7 +218,6 @@ fn the_demo_tells_a_newcomer_what_happened() {
     }
 }
 
-#[cfg(feature = "cnn")]
 #[test]
 fn cameras_are_listed_or_it_is_said_why_none_are() {
     if cfg!(not(feature = "v4l")) {
@@ -237,6 +236,7 @@ fn cameras_are_listed_or_it_is_said_why_none_are() {
     }
 }
 
+#[cfg(feature = "cnn")]
 #[test]
 fn the_doctor_finds_every_part_in_order() {
     let doctor = loci(&["doctor", "--json"]);

@@ -126,11 +126,14 @@ def check_drive(verdict, out):
     first, second = ([answer for answer in run.answers if answer["lap"] == lap] for lap in (1, 2))
     founded = {answer["place"]: answer["step"] for answer in first if answer["decision"] == "new_place"}
     verdict.check(len(founded) >= 3, "drive: the first lap founds at least 3 places", len(founded))
-    again = [answer for answer in second if answer["decision"] in ("revisited", "recognised") and answer["place"] in founded]
+    known = [answer for answer in second if answer["decision"] in ("revisited", "recognised")]
+    again = [answer for answer in known if answer["place"] in founded]
     share = f"{len(again)} of {len(second)}"
-    verdict.check(second and len(again) >= 0.5 * len(second), "drive: the second lap is recognised, by 50 % at least", share)
+    is_known = second and len(again) >= 0.5 * len(second)
+    verdict.check(is_known, "drive: the second lap is recognised, by 50 % at least", share)
     places = {answer["place"] for answer in again}
-    verdict.check(len(places) * 4 >= len(founded) * 3 > 0, "drive: as are three places in four", f"{len(places)} of {len(founded)}")
+    known_again = f"{len(places)} of {len(founded)}"
+    verdict.check(len(places) * 4 >= len(founded) * 3 > 0, "drive: as are three places in four", known_again)
     check_broken_frame(verdict, run)
 
 

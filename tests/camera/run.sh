@@ -16,7 +16,8 @@ rm -rf "$machine/share/out"
 
 # Nehalem, for where each instruction is translated, vectors of AVX2 take longer than those of SSE.
 ended=0
-timeout --kill-after=5 "$limit" qemu-system-x86_64 -accel tcg -cpu Nehalem -smp 2 -m 1024 -nodefaults -display none -no-reboot \
+timeout --kill-after=5 "$limit" qemu-system-x86_64 \
+    -accel tcg -cpu Nehalem -smp 2 -m 1024 -nodefaults -display none -no-reboot \
     -kernel "$machine/vmlinuz" -initrd "$machine/initramfs" \
     -append "console=ttyS0 quiet panic=-1 rdinit=/init" -serial "file:$machine/console" \
     -virtfs "local,path=$machine/share,mount_tag=share,security_model=none" </dev/null || ended=$?

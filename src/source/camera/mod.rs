@@ -31,8 +31,8 @@ use self::driver::{Connected, Driver, Stream, V4l2};
 use self::outage::Outage;
 use self::search::{Identity, Search};
 use self::spec::CameraSpec;
-use self::timing::{CaptureClock, Sampling};
-use super::{FrameSource, SourceError, wall_nanos};
+use self::timing::{CaptureClock, Clocks, Sampling};
+use super::{FrameSource, SourceError};
 use crate::frame::Frame;
 
 /// Damaged frames in a row after which the camera is opened anew.
@@ -157,10 +157,10 @@ impl<D: Driver> CameraSource<D> {
         let patience = self.patience(camera.developer.delivery.fps);
         loop {
             let (bytes, metadata) = camera.stream.next(Instant::now() + patience).map_err(Fault::Stream)?;
-            let arrival_nanos = wall_nanos();
+            let arrived = Clocks::now();
             self.welcome(&mut camera.greeting);
             let index = self.sampling.index(metadata.sequence);
-            let capture_nanos = self.clock.capture_nanos(timing::stamp_nanos(&metadata), arrival_nanos);
+            let capture_nanos = self.clock.capture_nanos(timing::stamp_nanos(&metadata), arrived);
             if self.sampling.is_due(index) {
                 let taken = (index, capture_nanos);
                 return camera.developer.frame(bytes, &metadata, taken, spare).map_err(Fault::Frame);

@@ -3,7 +3,10 @@
 //! A driver numbers the frames that its sensor took, so a gap is a frame that nobody fetched in time. It
 //! stamps them with the monotonic clock, which counts from the computer's start.
 
+use rustix::time::{ClockId, clock_gettime};
 use v4l::buffer::{Flags, Metadata};
+
+use crate::source::wall_nanos;
 
 /// Frames a second that are handed out unless another interval is asked for.
 const DEFAULT_RATE_HZ: f64 = 3.0;
@@ -81,21 +84,35 @@ impl Sampling {
     }
 }
 
-/// Maps the driver's clock to the wall clock, once, at the first frame: a later correction of the wall
-/// clock does not tear the stream. The first frame is awaited when it is stamped, so the mapping is late
-/// by no more than the time between exposure and delivery.
+/// Maps the driver's clock to the wall clock, once, at the first frame: a later correction of the wall clock does not tear
+/// the stream.
 #[derive(Debug, Default)]
 pub(super) struct CaptureClock {
     wall_nanos_at_zero: Option<i64>,
 }
 
 impl CaptureClock {
-    /// Time of capture in nanoseconds since the Unix epoch of a frame stamped `stamp_nanos` that arrived
-    /// at `arrival_nanos`; of a frame without a stamp it is the arrival.
-    pub(super) fn capture_nanos(&mut self, stamp_nanos: Option<i64>, arrival_nanos: i64) -> i64 {
-        let Some(stamp) = stamp_nanos else { return arrival_nanos };
-        let zero = *self.wall_nanos_at_zero.get_or_insert(arrival_nanos.saturating_sub(stamp));
-        zero.saturating_add(stamp)
+    /// Time of capture in nanoseconds since the Unix epoch of a frame stamped `stamp_nanos`, the clocks standing at
+    /// `now`; of a frame without a stamp it is now.
+    pub(super) fn capture_nanos(&mut self, stamp_nanos: Option<i64>, now: Clocks) -> i64 {
+        let Some(stamp) = stamp_nanos else { return now.wall_nanos };
+        let zero = now.wall_nanos.saturating_sub(now.monotonic_nanos);
+        self.wall_nanos_at_zero.get_or_insert(zero).saturating_add(stamp)
+    }
+}
+
+/// What two clocks show at the same time: the wall clock since the Unix epoch, and the one that drivers stamp with.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Clocks {
+    wall_nanos: i64,
+    monotonic_nanos: i64,
+}
+
+impl Clocks {
+    pub(super) fn now() -> Self {
+        let monotonic = clock_gettime(ClockId::Monotonic);
+        let monotonic_nanos = monotonic.tv_sec.saturating_mul(1_000_000_000).saturating_add(monotonic.tv_nsec);
+        Self { wall_nanos: wall_nanos(), monotonic_nanos }
     }
 }
 
@@ -183,9 +200,11 @@ mod tests {
     #[test]
     fn the_clock_is_mapped_once() {
         let mut clock = CaptureClock::default();
-        assert_eq!(clock.capture_nanos(Some(40), 1_000_040), 1_000_040);
-        assert_eq!(clock.capture_nanos(Some(50), 7_777_777), 1_000_050);
-        assert_eq!(clock.capture_nanos(None, 7_777_778), 7_777_778);
+        let at = |wall_nanos, monotonic_nanos| Clocks { wall_nanos, monotonic_nanos };
+        // Stamped at 40, it arrives at 45.
+        assert_eq!(clock.capture_nanos(Some(40), at(1_000_045, 45)), 1_000_040);
+        assert_eq!(clock.capture_nanos(Some(50), at(7_777_777, 52)), 1_000_050);
+        assert_eq!(clock.capture_nanos(None, at(7_777_778, 60)), 7_777_778);
     }
 
     #[test]

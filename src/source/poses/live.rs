@@ -6,7 +6,6 @@ use super::gpsd::Gpsd;
 use super::socket::PoseSocket;
 use super::track::between;
 use crate::frame::Pose;
-use crate::source::wall_nanos;
 
 /// Most poses that are kept: ten seconds at 200 Hz.
 const MOST_POSES: usize = 2000;
@@ -39,7 +38,7 @@ impl LivePoses {
     pub(super) fn listen(&mut self) -> Option<String> {
         let recent = &mut self.recent;
         match &mut self.teller {
-            Teller::Gpsd(gpsd) => gpsd.read(|pose| add(recent, wall_nanos(), pose)),
+            Teller::Gpsd(gpsd) => gpsd.read(|nanos, pose| add(recent, nanos, pose)),
             Teller::Socket(socket) => socket.read(|nanos, pose| add(recent, nanos, pose)),
         }
     }
@@ -86,7 +85,7 @@ mod tests {
 
     /// Poses at x metres after as many seconds.
     fn poses(seconds: &[i64]) -> LivePoses {
-        let teller = Teller::Gpsd(Gpsd::new("127.0.0.1:1".to_owned()));
+        let teller = Teller::Gpsd(Gpsd::watch("127.0.0.1:1".to_owned()).unwrap());
         let mut poses = LivePoses::of(teller);
         seconds.iter().for_each(|&second| add(&mut poses.recent, second * SECOND, pose(second as f64)));
         poses

@@ -96,7 +96,7 @@ impl PosedSource {
         let poses = match address {
             PoseAddress::File(path) => Poses::Track(PoseTrack::read(path)?),
             PoseAddress::Gpsd(address) => {
-                Poses::Live(LivePoses::of(Teller::Gpsd(Gpsd::new(address.clone()))))
+                Poses::Live(LivePoses::of(Teller::Gpsd(Gpsd::watch(address.clone())?)))
             }
             PoseAddress::Socket(path) => {
                 Poses::Live(LivePoses::of(Teller::Socket(PoseSocket::listen(path)?)))

@@ -9,11 +9,13 @@ use super::track::PoseTrack;
 use crate::frame::Pose;
 use crate::source::SourceError;
 
-/// Longest file in bytes, and longest line: a day at 100 Hz takes a tenth of that.
-const MOST_BYTES: u64 = 1 << 33;
+/// Longest file in bytes, and longest line.
+const MOST_BYTES: u64 = 1 << 31;
 const MOST_LINE_BYTES: u64 = 4096;
-/// Most poses: a week at 100 Hz.
-const MOST_POSES: usize = 60_000_000;
+/// Characters of a wrong text that an error shows.
+const MOST_SHOWN: usize = 60;
+/// Most poses: half a day at 100 Hz, in 300 MB of memory.
+const MOST_POSES: usize = 5_000_000;
 /// Times beyond this many seconds from the epoch are no times.
 const MOST_SECONDS: f64 = 9e9;
 
@@ -32,8 +34,12 @@ impl PoseTrack {
     /// If the file cannot be read, is too long, or is neither; the line is named.
     pub fn read(path: &Path) -> Result<Self, SourceError> {
         let io = |source| SourceError::Io { path: path.to_owned(), source };
-        if !path.metadata().map_err(io)?.is_file() {
+        let metadata = path.metadata().map_err(io)?;
+        if !metadata.is_file() {
             return Err(io(std::io::Error::other("not a regular file")));
+        }
+        if metadata.len() > MOST_BYTES {
+            return Err(io(std::io::Error::other("larger than 2 GiB; cut it into parts")));
         }
         let mut lines = BufReader::new(File::open(path).map_err(io)?.take(MOST_BYTES));
         let (mut format, mut poses, mut line, mut number) =
@@ -46,6 +52,9 @@ impl PoseTrack {
             }
             let wrong =
                 |reason: String| SourceError::BadPoses { path: path.to_owned(), line: number, reason };
+            if line.len() as u64 == MOST_LINE_BYTES && !line.ends_with('\n') {
+                return Err(wrong(format!("a line of {MOST_LINE_BYTES} bytes or more is too long")));
+            }
             poses.extend(format.pose_of(line.trim()).map_err(wrong)?);
             if poses.len() > MOST_POSES {
                 return Err(wrong(format!("more than {MOST_POSES} poses are too many")));
@@ -108,7 +117,7 @@ impl Format {
         let all = (find(&TIME_NAMES), find(&LATITUDE_NAMES), find(&LONGITUDE_NAMES));
         let (Some(time), Some(latitude), Some(longitude)) = all else {
             let tum = "lines of 'time tx ty tz qx qy qz qw'";
-            return Err(format!("expected {tum}, or CSV beginning with 'time,lat,lon', got '{first}'"));
+            return Err(format!("expected {tum}, or CSV beginning with 'time,lat,lon', got '{}'", shown(first)));
         };
         let columns = Columns { time, latitude, longitude, altitude: find(&ALTITUDE_NAMES) };
         Ok(Self::Positions { columns, frame: None })
@@ -158,7 +167,14 @@ fn tum(line: &str) -> Result<(i64, Pose), String> {
 
 fn number(text: &str, name: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && number.abs() < 1e15);
-    number.ok_or_else(|| format!("'{text}' is no {name}"))
+    number.ok_or_else(|| format!("'{}' is no {name}", shown(text)))
+}
+
+/// The beginning of a text from outside, such that a terminal may show it.
+fn shown(text: &str) -> String {
+    let beginning: String = text.chars().take(MOST_SHOWN).collect();
+    let more = if beginning.len() < text.len() { "…" } else { "" };
+    format!("{}{more}", beginning.escape_debug())
 }
 
 /// Seconds as nanoseconds.

@@ -1,7 +1,7 @@
 //! Poses as lines on a Unix socket: whoever knows where the robot is connects and writes them.
 
 use std::io;
-use std::os::unix::fs::FileTypeExt;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 
@@ -12,11 +12,14 @@ use crate::source::SourceError;
 
 /// Writers that are heard at a time; further ones wait.
 const MOST_WRITERS: usize = 8;
+const TAKEN: &str = "something else is there; name a path at which nothing is";
 
 /// A socket that is listened on; its file goes when this does.
 #[derive(Debug)]
 pub(super) struct PoseSocket {
     path: PathBuf,
+    /// Which file it is.
+    identity: [u64; 2],
     listener: UnixListener,
     writers: Vec<Writer>,
 }
@@ -37,13 +40,16 @@ impl PoseSocket {
     /// If something else is there, or the folder cannot be written.
     pub(super) fn listen(path: &Path) -> Result<Self, SourceError> {
         let error = |source| SourceError::Io { path: path.to_owned(), source };
-        let is_socket = path.symlink_metadata().is_ok_and(|metadata| metadata.file_type().is_socket());
-        if is_socket && UnixStream::connect(path).is_err() {
+        if is_left_over(path) {
             std::fs::remove_file(path).map_err(error)?;
         }
-        let listener = UnixListener::bind(path).map_err(error)?;
+        let listener = UnixListener::bind(path).map_err(|source| match source.kind() {
+            io::ErrorKind::AddrInUse => error(io::Error::other(TAKEN)),
+            _ => error(source),
+        })?;
         listener.set_nonblocking(true).map_err(error)?;
-        Ok(Self { path: path.to_owned(), listener, writers: Vec::new() })
+        let identity = identity(path).map_err(error)?;
+        Ok(Self { path: path.to_owned(), identity, listener, writers: Vec::new() })
     }
 
     /// Hands every pose that has come, with its time in nanoseconds, to `take`. Answers what people should know.
@@ -81,9 +87,23 @@ impl PoseSocket {
 
 impl Drop for PoseSocket {
     fn drop(&mut self) {
-        // Nobody is told: the next run replaces it.
-        let _ = std::fs::remove_file(&self.path);
+        if identity(&self.path).is_ok_and(|identity| identity == self.identity) {
+            // Nobody is told if that fails: the next run replaces it.
+            let _ = std::fs::remove_file(&self.path);
+        }
     }
+}
+
+/// Whether there is a socket on which nobody listens any more.
+fn is_left_over(path: &Path) -> bool {
+    let is_socket = path.symlink_metadata().is_ok_and(|metadata| metadata.file_type().is_socket());
+    let is_refused = |error: io::Error| error.kind() == io::ErrorKind::ConnectionRefused;
+    is_socket && UnixStream::connect(path).err().is_some_and(is_refused)
+}
+
+/// Device and number of the file at `path`.
+fn identity(path: &Path) -> io::Result<[u64; 2]> {
+    path.symlink_metadata().map(|metadata| [metadata.dev(), metadata.ino()])
 }
 
 #[cfg(test)]
@@ -128,8 +148,13 @@ mod tests {
         assert!(PoseSocket::listen(&path).is_err(), "somebody listens");
         drop(socket);
         assert!(!path.exists());
+        let datagrams = std::os::unix::net::UnixDatagram::bind(&path).unwrap();
+        assert!(PoseSocket::listen(&path).is_err(), "a socket of another kind is in use");
+        drop(datagrams);
+        std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, "a file").unwrap();
-        assert!(PoseSocket::listen(&path).is_err());
+        let error = PoseSocket::listen(&path).unwrap_err().to_string();
+        assert!(error.ends_with("name a path at which nothing is"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), b"a file");
     }
 }

@@ -47,7 +47,7 @@ const TIME_TIMELINE: &str = "capture_time";
 /// Clocks that stand earlier, in nanoseconds since the Unix epoch, count from the start of the source.
 const EARLIEST_DATE_NANOS: i64 = 365 * 24 * 3600 * 1_000_000_000;
 /// How long a disk may take for what is left at the end.
-const MAX_WRITING: Duration = Duration::from_secs(60);
+const MAX_WRITING: Duration = Duration::from_secs(20);
 
 /// Shows recognitions in rerun.
 pub struct RerunSink {
