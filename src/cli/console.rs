@@ -94,7 +94,12 @@ pub(super) struct Reporter {
 impl Reporter {
     /// A reporter, of a run that is to learn or not, which shows nothing yet.
     pub(super) fn new(is_learning: bool) -> Self {
-        Self { progress: ProgressBar::hidden(), is_learning, pace: Arc::default(), is_live: AtomicBool::new(false) }
+        Self {
+            progress: ProgressBar::hidden(),
+            is_learning,
+            pace: Arc::default(),
+            is_live: AtomicBool::new(false),
+        }
     }
 
     /// Lines for people on stdout, above whatever this reporter shows.

@@ -9,6 +9,10 @@ use serde::Deserialize;
 
 /// How much may be saved up, so that one dear frame does not stop the next cheap ones.
 const SAVED: Duration = Duration::from_millis(500);
+/// How much may be owed: what had nothing to do with frames is not paid for by their want for long.
+const OWED: Duration = Duration::from_secs(5);
+/// After so long a frame is looked at whatever it costs.
+const LONGEST_BLINDNESS: Duration = Duration::from_secs(2);
 /// Fewest and most cores of a budget.
 const CORES: std::ops::RangeInclusive<f64> = 0.01..=1024.0;
 
@@ -60,20 +64,26 @@ pub(super) struct Pace {
     account: Account,
     seen_at: Instant,
     seen_cpu: Duration,
+    looked_at: Instant,
 }
 
 impl Pace {
     /// An account that begins now.
     pub(super) fn new(budget: CpuBudget) -> Self {
-        Self { account: Account::new(budget), seen_at: Instant::now(), seen_cpu: cpu_time() }
+        let now = Instant::now();
+        Self { account: Account::new(budget), seen_at: now, seen_cpu: cpu_time(), looked_at: now }
     }
 
-    /// How long to wait until another frame fits into the budget; zero if one does.
+    /// How long to wait until another frame is looked at; zero if this one is.
     pub(super) fn wait(&mut self) -> Duration {
         let (now, cpu) = (Instant::now(), cpu_time());
         self.account.book(now - self.seen_at, cpu.saturating_sub(self.seen_cpu));
         (self.seen_at, self.seen_cpu) = (now, cpu);
-        self.account.wait()
+        let wait = self.account.wait().min(LONGEST_BLINDNESS.saturating_sub(now - self.looked_at));
+        if wait.is_zero() {
+            self.looked_at = now;
+        }
+        wait
     }
 }
 
@@ -98,7 +108,7 @@ impl Account {
     /// So much time went by, and so much processor time was taken in it.
     fn book(&mut self, passed: Duration, taken: Duration) {
         let debt = self.debt_seconds + taken.as_secs_f64() - self.cores * passed.as_secs_f64();
-        self.debt_seconds = debt.max(-self.cores * SAVED.as_secs_f64());
+        self.debt_seconds = debt.clamp(-self.cores * SAVED.as_secs_f64(), self.cores * OWED.as_secs_f64());
     }
 
     fn wait(&self) -> Duration {
@@ -160,6 +170,25 @@ mod tests {
         while cpu_time() - started < Duration::from_millis(50) {
             sum = std::hint::black_box(sum + 1);
         }
-        assert!(pace.wait() > Duration::from_secs(1));
+        let wait = pace.wait();
+        assert!(wait > Duration::from_secs(1) && wait <= LONGEST_BLINDNESS, "{wait:?}");
+    }
+
+    #[test]
+    fn a_debt_is_forgotten_after_a_while() {
+        let mut account = Account::new(budget("50%"));
+        account.book(Duration::ZERO, Duration::from_secs(1000));
+        assert_eq!(account.wait(), OWED);
+        account.book(OWED, Duration::ZERO);
+        assert_eq!(account.wait(), Duration::ZERO);
+    }
+
+    #[test]
+    fn a_robot_is_never_blind_for_long() {
+        let mut pace = Pace::new(budget("1%"));
+        pace.account.book(Duration::ZERO, Duration::from_secs(1000));
+        pace.looked_at = Instant::now().checked_sub(LONGEST_BLINDNESS).unwrap();
+        assert_eq!(pace.wait(), Duration::ZERO);
+        assert!(!pace.wait().is_zero());
     }
 }

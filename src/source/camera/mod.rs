@@ -2,8 +2,8 @@
 //!
 //! A robot is not stopped by its camera. What goes wrong with one frame is told and the next call goes on; a camera
 //! that keeps silent is opened anew; one that is gone is looked for until it is there again, under another number
-//! perhaps. Each trouble is told once, and so is its end. A frame is awaited for two seconds, and a camera that is away
-//! for one, so whoever asks soon hears.
+//! perhaps. Each trouble is told once, a damaged frame by itself, and so is the end. A frame is awaited for two
+//! seconds, and a camera that is away for one, so whoever asks soon hears.
 
 mod controls;
 mod developer;

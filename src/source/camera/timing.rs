@@ -84,8 +84,8 @@ impl Sampling {
     }
 }
 
-/// Maps the driver's clock to the wall clock, once, at the first frame: a later correction of the wall clock does not tear
-/// the stream.
+/// Maps the driver's clock to the wall clock, once, at the first frame: a later correction of the wall clock does not
+/// tear the stream.
 #[derive(Debug, Default)]
 pub(super) struct CaptureClock {
     wall_nanos_at_zero: Option<i64>,
@@ -111,7 +111,8 @@ pub(super) struct Clocks {
 impl Clocks {
     pub(super) fn now() -> Self {
         let monotonic = clock_gettime(ClockId::Monotonic);
-        let monotonic_nanos = monotonic.tv_sec.saturating_mul(1_000_000_000).saturating_add(monotonic.tv_nsec);
+        let monotonic_nanos =
+            monotonic.tv_sec.saturating_mul(1_000_000_000).saturating_add(monotonic.tv_nsec);
         Self { wall_nanos: wall_nanos(), monotonic_nanos }
     }
 }

@@ -195,7 +195,10 @@ mod tests {
 
     use super::*;
 
-    const FIX: &str = r#"{"class":"TPV","device":"/dev/ttyUSB0","mode":3,"time":"2026-05-04T10:11:12.000Z","ept":0.005,"lat":48.5,"lon":11.25,"altHAE":510.5,"altMSL":463.1,"alt":463.1,"epx":8.1,"speed":0.1}"#;
+    const FIX: &str = concat!(
+        r#"{"class":"TPV","device":"/dev/ttyUSB0","mode":3,"time":"2026-05-04T10:11:12.000Z","ept":0.005,"#,
+        r#""lat":48.5,"lon":11.25,"altHAE":510.5,"altMSL":463.1,"alt":463.1,"epx":8.1,"speed":0.1}"#,
+    );
 
     #[test]
     fn a_position_is_read_of_a_report_that_has_one() {

@@ -117,7 +117,10 @@ impl Format {
         let all = (find(&TIME_NAMES), find(&LATITUDE_NAMES), find(&LONGITUDE_NAMES));
         let (Some(time), Some(latitude), Some(longitude)) = all else {
             let tum = "lines of 'time tx ty tz qx qy qz qw'";
-            return Err(format!("expected {tum}, or CSV beginning with 'time,lat,lon', got '{}'", shown(first)));
+            return Err(format!(
+                "expected {tum}, or CSV beginning with 'time,lat,lon', got '{}'",
+                shown(first)
+            ));
         };
         let columns = Columns { time, latitude, longitude, altitude: find(&ALTITUDE_NAMES) };
         Ok(Self::Positions { columns, frame: None })
