@@ -44,7 +44,7 @@ pub struct Seen {
 /// Time that perception took, in microseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PerceptionLatency {
-    /// Reading, rendering or waiting for the frame.
+    /// Reading and decoding or rendering the frame; of a live source everything since it was captured.
     pub decode_us: u64,
     /// Features and their words.
     pub features_us: u64,

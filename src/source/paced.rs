@@ -40,11 +40,12 @@ impl FrameSource for PacedSource {
     }
 
     fn next_frame_in(&mut self, spare: Option<Frame>) -> Option<Result<Frame, SourceError>> {
-        let frame = self.frames.next_frame_in(spare)?;
         let due = self.due.unwrap_or_else(Instant::now);
         let due = self.catch_up(due);
         thread::sleep(due.saturating_duration_since(Instant::now()));
         self.due = Some(due + self.interval);
+        // Only now, for a camera's frame is decoded after it was captured.
+        let frame = self.frames.next_frame_in(spare)?;
         let age_nanos = i64::try_from(due.elapsed().as_nanos()).unwrap_or(i64::MAX);
         Some(frame.map(|frame| Frame { capture_nanos: wall_nanos().saturating_sub(age_nanos), ..frame }))
     }
@@ -111,7 +112,7 @@ mod tests {
     fn what_goes_by_while_a_frame_is_read_is_lost_as_it_would_be_of_a_camera() {
         let (source, times) = played(10, 25, 100.0);
         assert!((10..1000).contains(&source.lost_frames()), "{}", source.lost_frames());
-        // Each counts as captured when it was due, less than an interval before it came.
+        // Each counts as captured when it was due, less than an interval before it was read.
         assert!(times.windows(2).all(|pair| pair[1] - pair[0] >= 15_000_000), "{times:?}");
     }
 }

@@ -65,7 +65,7 @@ pub enum CnnStatus {
 /// How long each stage took for one frame, in microseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StageLatency {
-    /// Reading and decoding, or rendering, the frame.
+    /// Reading and decoding, or rendering, the frame; of a live source everything since it was captured.
     pub decode_us: u64,
     /// ORB features and their words.
     pub features_us: u64,
