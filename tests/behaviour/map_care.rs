@@ -582,8 +582,11 @@ fn a_place_is_named_by_its_number_its_name_and_the_number_of_a_place_merged_into
     assert_eq!(json("rename", &map, &[STRANGE, "雪 «hall»"])["place"], 2);
     // The same name again is no clash.
     json("rename", &map, &["2", "雪 «hall»"]);
-    let names: Vec<Option<String>> =
-        PlaceMap::open_read_only(&map).unwrap().places().map(|place| place.name.clone()).collect();
+    let names: Vec<Option<String>> = PlaceMap::open_read_only(&map)
+        .unwrap()
+        .places()
+        .map(|place| place.name.as_deref().map(str::to_owned))
+        .collect();
     assert_eq!(names, [Some("dock 5".to_owned()), None, Some("雪 «hall»".to_owned())]);
     let said = loci(&["map", "rename", text(&map), "0", "dock"]);
     assert_eq!(said.stdout, "place 0 is called \"dock\", before \"dock 5\"\n");

@@ -49,6 +49,7 @@ pub(super) fn run(arguments: &RenameArguments) -> anyhow::Result<Outcome> {
     }
     map.name_place(id, name)?;
     map.sync()?;
+    let name_before = name_before.as_deref().map(str::to_owned);
     let report = Report { place: id.0, name, name_before };
     let before = report.name_before.as_ref().map(|before| format!(", before {before:?}")).unwrap_or_default();
     say(&match arguments.json {

@@ -61,7 +61,7 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
         decision,
         by: None,
         place: (decision != Decision::Unknown).then_some(PlaceId(17)),
-        name: Some("dock|*3*\n# x".to_owned()),
+        name: Some("dock|*3*\n# x".into()),
         keyframe: None,
         experience: None,
         confidence: 0.993,
