@@ -56,23 +56,23 @@ impl BowVector {
         let Self { entries, repetitions, length } = self;
         entries.clear();
         entries.extend(words);
+        entries.retain(|word| word.1 > 0.0);
         entries.sort_unstable_by_key(|word| word.0);
         repetitions.clear();
-        // Every run of a word is written as one entry, not behind where it was read.
-        let (mut from, mut kept) = (0, 0);
-        while let Some(&(word, weight)) = entries.get(from) {
-            let run = entries[from..].iter().take_while(|entry| entry.0 == word).count();
-            from += run;
-            let counted = if weighting.counts_repetitions() { run } else { 1 };
-            // A sum, not a product: the rounding differs.
-            let value = (1..counted).fold(weight, |sum, _| sum + weight);
-            if value > 0.0 {
-                entries[kept] = (word, value);
-                kept += 1;
-                repetitions.push(u16::try_from(counted).unwrap_or(u16::MAX));
+        repetitions.extend(entries.first().map(|_| 1));
+        entries.dedup_by(|next, kept| {
+            let is_again = next.0 == kept.0;
+            match repetitions.last_mut() {
+                Some(count) if is_again && weighting.counts_repetitions() => {
+                    // A sum, not a product: the rounding differs.
+                    kept.1 += next.1;
+                    *count = count.saturating_add(1);
+                }
+                _ if is_again => {}
+                _ => repetitions.push(1),
             }
-        }
-        entries.truncate(kept);
+            is_again
+        });
         *length = entries.iter().map(|entry| entry.1).sum();
         for (_, weight) in entries {
             *weight /= *length;

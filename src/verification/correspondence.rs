@@ -62,9 +62,24 @@ pub(super) struct Matcher {
     pairs: Vec<(u32, u32)>,
 }
 
-/// A feature of a group: first the number of the group, so that those of one stand side by side when they are sorted,
-/// then that of the feature.
-type Member = (u32, u32);
+/// A feature of a group. The number of the group has the higher bits, so that those of one stand side by side when they
+/// are sorted, and that of the feature the lower ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Member(u64);
+
+impl Member {
+    fn new(group: u32, feature: u32) -> Self {
+        Self(u64::from(group) << u32::BITS | u64::from(feature))
+    }
+
+    fn group(self) -> u32 {
+        (self.0 >> u32::BITS) as u32
+    }
+
+    fn feature(self) -> u32 {
+        self.0 as u32
+    }
+}
 
 impl Matcher {
     /// Writes the one-to-one correspondences from `query` to `keyframe` over what is in `found`, in the order of the
@@ -79,9 +94,10 @@ impl Matcher {
         order_by_group(query.groups, query_order);
         order_by_group(keyframe.groups, keyframe_order);
         pairs.clear();
-        for run in query_order.chunk_by(|a, b| a.0 == b.0) {
-            let candidates = run_of(keyframe_order, run[0].0);
-            pairs.extend(run.iter().filter_map(|&(_, index)| {
+        for run in query_order.chunk_by(|a, b| a.group() == b.group()) {
+            let candidates = run_of(keyframe_order, run[0].group());
+            pairs.extend(run.iter().filter_map(|member| {
+                let index = member.feature();
                 let descriptor = &query.features.descriptors[index as usize];
                 let found = distinctive_nearest(descriptor, candidates, keyframe.features, options)?;
                 // The nearest the other way must lead back.
@@ -105,13 +121,13 @@ impl Matcher {
 
 fn order_by_group(groups: &[u32], order: &mut Vec<Member>) {
     order.clear();
-    order.extend(groups.iter().copied().zip(0..));
+    order.extend(groups.iter().zip(0..).map(|(&group, feature)| Member::new(group, feature)));
     order.sort_unstable();
 }
 
 fn run_of(order: &[Member], group: u32) -> &[Member] {
-    let start = order.partition_point(|member| member.0 < group);
-    let end = order.partition_point(|member| member.0 <= group);
+    let start = order.partition_point(|member| member.group() < group);
+    let end = order.partition_point(|member| member.group() <= group);
     &order[start..end]
 }
 
@@ -123,7 +139,7 @@ fn distinctive_nearest(
     options: &MatchingOptions,
 ) -> Option<u32> {
     let (mut nearest, mut second) = ((u32::MAX, 0), u32::MAX);
-    for &(_, index) in candidates {
+    for index in candidates.iter().map(|member| member.feature()) {
         let distance = descriptor.distance(&features.descriptors[index as usize]);
         if distance < nearest.0 {
             second = nearest.0;
