@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::{FrameSource, SourceError, codec};
 use crate::frame::Frame;
-use crate::kernel::luma;
+use crate::kernel::luma_in;
 
 /// Images whose names are no times count as captured at this nominal interval, from time 0.
 const NOMINAL_INTERVAL_NANOS: i64 = 100_000_000;
@@ -83,16 +83,19 @@ impl DirectorySource {
         self.times_nanos.get(index).copied().unwrap_or(index as i64 * NOMINAL_INTERVAL_NANOS)
     }
 
-    fn read(&self, index: usize) -> Result<Frame, SourceError> {
+    /// The image at this position, in the memory of `spare`.
+    fn read(&self, index: usize, spare: Option<Frame>) -> Result<Frame, SourceError> {
         let path = &self.paths[index];
         let bytes = codec::read_image_file(path)?;
-        let colour = codec::decode(&bytes, &path.display().to_string())?;
+        let memory = |spare: Frame| (spare.colour.into_pixels(), spare.grey.into_pixels());
+        let (colours, greys) = spare.map(memory).unwrap_or_default();
+        let colour = codec::decode_in(&bytes, &path.display().to_string(), colours)?;
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         Ok(Frame {
             index: index as u64,
             capture_nanos: self.capture_nanos(index),
             name,
-            grey: luma(&colour),
+            grey: luma_in(&colour, greys),
             colour,
             jpeg: codec::is_jpeg(&bytes).then_some(bytes),
             pose: None,
@@ -122,9 +125,13 @@ fn named_nanos(path: &Path) -> Option<i64> {
 
 impl FrameSource for DirectorySource {
     fn next_frame(&mut self) -> Option<Result<Frame, SourceError>> {
+        self.next_frame_in(None)
+    }
+
+    fn next_frame_in(&mut self, spare: Option<Frame>) -> Option<Result<Frame, SourceError>> {
         let index = self.next;
         self.next = index.saturating_add(self.sample_interval);
-        (index < self.paths.len()).then(|| self.read(index))
+        (index < self.paths.len()).then(|| self.read(index, spare))
     }
 
     fn frame_count(&self) -> Option<u64> {
