@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::sleep;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 use std::{io, thread};
 
 use super::*;
@@ -13,7 +13,7 @@ use crate::frame::Frame;
 use crate::place_map::{MapError, MapOptions, PlaceMap};
 use crate::raster::{GreyImage, RgbImage};
 use crate::recognition::RecognitionOptions;
-use crate::source::SourceError;
+use crate::source::{SourceError, wall_nanos};
 use crate::telemetry::{FrameRecord, Losses};
 use crate::vocabulary::VocabularySet;
 
@@ -31,7 +31,7 @@ impl FrameSource for Ticking {
             return None;
         }
         sleep(self.every);
-        let capture_nanos = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as i64;
+        let capture_nanos = wall_nanos();
         let (grey, colour) = (GreyImage::new(48, 48), RgbImage::new(48, 48));
         let frame = Frame { capture_nanos, grey, colour, ..Frame::numbered(self.index) };
         self.index += 1;

@@ -74,6 +74,23 @@ impl Matrix {
             byte(luma + self.blue_u * u),
         ]
     }
+
+    /// Adds a row of `width_px` pixels, two of which share their U and V each.
+    #[inline]
+    fn push_row(
+        &self,
+        pixels: &mut Vec<u8>,
+        width_px: usize,
+        pairs: impl Iterator<Item = ([u8; 2], [u8; 2])>,
+    ) {
+        let end = pixels.len() + width_px * 3;
+        for ([left, right], [u, v]) in pairs {
+            pixels.extend_from_slice(&self.rgb(left, u, v));
+            pixels.extend_from_slice(&self.rgb(right, u, v));
+        }
+        // Where the width is odd, the last pair holds one pixel too many.
+        pixels.truncate(end);
+    }
 }
 
 /// The colour image in a YUYV buffer; the error says how many bytes are missing. Its
@@ -86,17 +103,10 @@ pub(super) fn rgb_from_yuyv(
 ) -> Result<RgbImage, String> {
     let matrix = Matrix::of(range);
     let rows = rows(bytes, layout, layout.width_px.div_ceil(2) * 4)?;
-    let row_bytes = layout.width_px * 3;
-    let mut pixels = cleared(spare, row_bytes * layout.height_px);
+    let mut pixels = cleared(spare, layout.width_px * layout.height_px * 3);
     for row in rows {
-        let end = pixels.len() + row_bytes;
-        for pair in row.chunks_exact(4) {
-            let (u, v) = (pair[1], pair[3]);
-            pixels.extend_from_slice(&matrix.rgb(pair[0], u, v));
-            pixels.extend_from_slice(&matrix.rgb(pair[2], u, v));
-        }
-        // Where the width is odd, the last pair holds one pixel too many.
-        pixels.truncate(end);
+        let pairs = row.as_chunks::<4>().0.iter().map(|&[left, u, right, v]| ([left, right], [u, v]));
+        matrix.push_row(&mut pixels, layout.width_px, pairs);
     }
     image(RgbImage::from_pixels(layout.width_px, layout.height_px, pixels))
 }
@@ -119,15 +129,10 @@ pub(super) fn rgb_from_nv12(
     }
     let (luma, chroma) = bytes.split_at(luma_bytes);
     let chroma_rows = rows(chroma, of_chroma, even_width_px)?.flat_map(|row| [row, row]);
-    let row_bytes = layout.width_px * 3;
-    let mut pixels = cleared(spare, row_bytes * layout.height_px);
+    let mut pixels = cleared(spare, layout.width_px * layout.height_px * 3);
     for (luma, chroma) in rows(luma, layout, even_width_px)?.zip(chroma_rows) {
-        let end = pixels.len() + row_bytes;
-        for (pair, uv) in luma.as_chunks::<2>().0.iter().zip(chroma.as_chunks::<2>().0) {
-            pixels.extend_from_slice(&matrix.rgb(pair[0], uv[0], uv[1]));
-            pixels.extend_from_slice(&matrix.rgb(pair[1], uv[0], uv[1]));
-        }
-        pixels.truncate(end);
+        let pairs = luma.as_chunks::<2>().0.iter().zip(chroma.as_chunks::<2>().0);
+        matrix.push_row(&mut pixels, layout.width_px, pairs.map(|(&ys, &uv)| (ys, uv)));
     }
     image(RgbImage::from_pixels(layout.width_px, layout.height_px, pixels))
 }
