@@ -37,6 +37,28 @@ pub struct Frame {
     pub true_place: Option<u32>,
 }
 
+/// The memory of a frame, for the next one.
+#[derive(Default)]
+pub(crate) struct FrameMemory {
+    pub(crate) name: String,
+    pub(crate) colour: Vec<u8>,
+    pub(crate) grey: Vec<u8>,
+    pub(crate) jpeg: Vec<u8>,
+}
+
+impl FrameMemory {
+    /// That of a frame which nobody needs any more, if there is one.
+    pub(crate) fn of(spare: Option<Frame>) -> Self {
+        let taken = |Frame { name, colour, grey, jpeg, .. }: Frame| Self {
+            name,
+            colour: colour.into_pixels(),
+            grey: grey.into_pixels(),
+            jpeg: jpeg.unwrap_or_default(),
+        };
+        spare.map(taken).unwrap_or_default()
+    }
+}
+
 #[cfg(test)]
 impl Frame {
     /// A frame of which nothing but its number matters.

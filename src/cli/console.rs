@@ -4,7 +4,7 @@ use std::fmt::{self, Display};
 use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use loci::cnn::{CnnError, ModelCard};
@@ -15,6 +15,7 @@ use loci::source::{FrameSource, SourceError};
 use loci::telemetry::{Flow, FrameRecord, Losses, RecognitionSink, TelemetryError, Waiting};
 
 use super::Outcome;
+use super::voice::{Repeated, Voice};
 
 /// Writes a line to stdout. Whoever reads it may have seen enough and gone: that is no failure.
 pub(super) fn say(line: &str) -> anyhow::Result<()> {
@@ -84,6 +85,9 @@ fn evidence(recognition: &Recognition) -> String {
 /// Reports on stderr what happens while a stream runs.
 pub(super) struct Reporter {
     progress: ProgressBar,
+    voice: Voice,
+    /// Frames of a camera that were damaged.
+    damage: Mutex<Repeated>,
     /// Whether the run was asked to learn.
     is_learning: bool,
     /// Of a live stream, how it keeps pace.
@@ -93,13 +97,16 @@ pub(super) struct Reporter {
 
 impl Reporter {
     /// A reporter, of a run that is to learn or not, which shows nothing yet.
-    pub(super) fn new(is_learning: bool) -> Self {
-        Self {
-            progress: ProgressBar::hidden(),
+    pub(super) fn new(is_learning: bool) -> anyhow::Result<Self> {
+        let progress = ProgressBar::hidden();
+        Ok(Self {
+            voice: Voice::above(progress.clone())?,
+            progress,
+            damage: Mutex::default(),
             is_learning,
             pace: Arc::default(),
             is_live: AtomicBool::new(false),
-        }
+        })
     }
 
     /// Lines for people on stdout, above whatever this reporter shows.
@@ -129,9 +136,19 @@ impl Reporter {
         dress(&self.progress, &bar_template("frames"), |style| style);
     }
 
-    /// Clears the progress bar.
-    pub(super) fn finish(&self) {
+    /// Says what is still to be said and clears the progress bar.
+    pub(super) fn finish(self) {
+        drop(self.voice);
         self.progress.finish_and_clear();
+    }
+
+    fn is_live(&self) -> bool {
+        self.is_live.load(Ordering::Relaxed)
+    }
+
+    /// Says a line; of a live stream it is left out where nobody reads.
+    fn say(&self, line: String) {
+        self.voice.say(line, self.is_live());
     }
 }
 
@@ -179,42 +196,53 @@ pub(super) fn spinner(message: &'static str) -> ProgressBar {
 
 impl Watcher for Reporter {
     fn skipped(&self, error: &SourceError) {
-        self.progress.suspend(|| eprintln!("loci: skipped: {error}"));
-        self.progress.inc(1);
+        if !self.is_live() {
+            self.progress.inc(1);
+        }
+        let mut damage = self.damage.lock().unwrap_or_else(PoisonError::into_inner);
+        let untold = match error {
+            SourceError::DamagedFrame { .. } => damage.came(Instant::now()),
+            _ => Some(0),
+        };
+        match untold {
+            None => {}
+            Some(0) => self.say(format!("skipped: {error}")),
+            Some(more) => self.say(format!("skipped: {error} ({more} more before it)")),
+        }
     }
 
     fn cnn_failed(&self, frame_name: &str, error: &CnnError) {
-        self.progress.suspend(|| eprintln!("loci: {frame_name}: {error}; decided by BoW+HV alone"));
+        self.say(format!("{frame_name}: {error}; decided by BoW+HV alone"));
     }
 
     fn map_failed(&self, failure: &MapError, goes_on_learning: bool) {
         let is_turn = self.is_learning && !goes_on_learning;
         let consequence = if is_turn { "; going on read-only, nothing more is learnt" } else { "" };
-        self.progress.suspend(|| eprintln!("loci: {failure}{consequence}"));
+        self.say(format!("{failure}{consequence}"));
     }
 
     fn model_changed(&self, card: &ModelCard, frame_index: u64, described_anew: usize) {
         let anew = counted(described_anew, "keyframe");
-        let line =
-            format!("model {} is in use from frame {frame_index} on ({anew} described anew)", card.name);
-        self.progress.suspend(|| eprintln!("loci: {line}"));
+        self.say(format!(
+            "model {} is in use from frame {frame_index} on ({anew} described anew)",
+            card.name
+        ));
     }
 
     fn model_refused(&self, reason: &str, in_use: &ModelCard) {
-        let name = &in_use.name;
-        self.progress.suspend(|| eprintln!("loci: new model refused: {reason}; going on with {name}"));
+        self.say(format!("new model refused: {reason}; going on with {}", in_use.name));
     }
 
     fn noticed(&self, notice: &str) {
-        self.progress.suspend(|| eprintln!("loci: {notice}"));
+        self.say(notice.to_owned());
     }
 
     fn sink_failed(&self, error: &TelemetryError) {
-        self.progress.suspend(|| eprintln!("loci: {error}; going on without it"));
+        self.say(format!("{error}; going on without it"));
     }
 
     fn decided(&self, record: &FrameRecord) {
-        if !self.is_live.load(Ordering::Relaxed) {
+        if !self.is_live() {
             return self.progress.inc(1);
         }
         // A live stream does not wait for whoever draws the line, not even for its terminal.

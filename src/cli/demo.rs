@@ -42,7 +42,7 @@ pub(super) fn run(arguments: DemoArguments) -> anyhow::Result<Outcome> {
     let stop = stream::stop_flag()?;
     let pipeline = stream::pipeline(WORLD, &settings, sinks)?;
     eprintln!("loci: driving two laps of a street that exists only in this program …");
-    let reporter = Reporter::new(true);
+    let reporter = Reporter::new(true)?;
     reporter.begin(pipeline.source.as_ref(), false);
     let summary = pipeline.run(&stop, &reporter)?;
     reporter.finish();

@@ -19,6 +19,7 @@ mod stream;
 #[cfg(feature = "train")]
 mod train;
 mod vocab;
+mod voice;
 
 use std::process::ExitCode;
 

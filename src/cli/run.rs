@@ -40,7 +40,7 @@ pub(super) struct RunArguments {
 pub(super) fn run(arguments: RunArguments) -> anyhow::Result<Outcome> {
     let settings = arguments.settings.completed(arguments.config.as_deref())?;
     let awaited = Awaited::new(&arguments.explain);
-    let reporter = Reporter::new(settings.read_only != Some(true));
+    let reporter = Reporter::new(settings.read_only != Some(true))?;
     let is_for_people = !arguments.json && arguments.explain.is_empty();
     let lines: Box<dyn RecognitionSink> = if arguments.json {
         Box::new(JsonLines::new(io::stdout()))

@@ -63,8 +63,8 @@ impl Decider<'_> {
             summary.map_failures += 1;
         }
         summary.map = Some(self.recogniser.map().summary());
-        let (sink_failures, missed_records) = self.delivery.finish(self.watcher)?;
-        (summary.sink_failures, summary.flow.missed_records) = (sink_failures, missed_records);
+        summary.flow.missed_records = self.delivery.missed;
+        summary.sink_failures = self.delivery.finish(self.watcher)?;
         summary.flow.losses = perceived?;
         Ok(summary)
     }

@@ -81,12 +81,11 @@ impl Delivery {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Waits until the sinks have everything; those of a live stream for a while. Answers how many failed, and how many
-    /// records were missed.
+    /// Waits until the sinks have everything; those of a live stream for a while. Answers how many failed.
     ///
     /// # Errors
     /// If one failed, and the stream is not live.
-    pub(super) fn finish(mut self, watcher: &dyn Watcher) -> Result<(u64, u64), PipelineError> {
+    pub(super) fn finish(mut self, watcher: &dyn Watcher) -> Result<u64, PipelineError> {
         let deadline = Instant::now() + CLOSING;
         let ends: Vec<_> = self.sinks.into_iter().map(Outlet::close).collect();
         for (ended, thread) in ends {
@@ -101,7 +100,7 @@ impl Delivery {
             }
             joined(&ended, thread).or_else(TelemetryError::unless_reader_gone)?;
         }
-        Ok((self.failed, self.missed))
+        Ok(self.failed)
     }
 }
 

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::{FrameSource, SourceError, codec};
-use crate::frame::Frame;
+use crate::frame::{Frame, FrameMemory};
 use crate::kernel::luma_in;
 
 /// Images whose names are no times count as captured at this nominal interval, from time 0.
@@ -87,15 +87,14 @@ impl DirectorySource {
     fn read(&self, index: usize, spare: Option<Frame>) -> Result<Frame, SourceError> {
         let path = &self.paths[index];
         let bytes = codec::read_image_file(path)?;
-        let memory = |spare: Frame| (spare.colour.into_pixels(), spare.grey.into_pixels());
-        let (colours, greys) = spare.map(memory).unwrap_or_default();
-        let colour = codec::decode_in(&bytes, &path.display().to_string(), colours)?;
+        let FrameMemory { colour, grey, .. } = FrameMemory::of(spare);
+        let colour = codec::decode_in(&bytes, &path.display().to_string(), colour)?;
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         Ok(Frame {
             index: index as u64,
             capture_nanos: self.capture_nanos(index),
             name,
-            grey: luma_in(&colour, greys),
+            grey: luma_in(&colour, grey),
             colour,
             jpeg: codec::is_jpeg(&bytes).then_some(bytes),
             pose: None,

@@ -109,6 +109,14 @@ pub enum SourceError {
         /// What is wrong with it, and what to do.
         reason: String,
     },
+    /// A frame of a camera is damaged; the next one may be whole.
+    #[error("camera {device}: {reason}")]
+    DamagedFrame {
+        /// The device.
+        device: String,
+        /// Which frame, what is wrong with it, and what to do.
+        reason: String,
+    },
     /// Nothing has come, which was told before; another call may have a frame.
     #[error("no frame yet; wait")]
     NotYet,

@@ -113,6 +113,17 @@ def check_replug(verdict, out):
     verdict.check(places == {0}, "replug: the pattern stays the same place", places)
 
 
+def check_controls(verdict, out):
+    """What a control does not take is refused; what it does is set again on a camera that came back."""
+    message = text(out / "refused.err").strip()
+    is_refused = message.endswith("brightness=256 is not allowed; brightness takes 0 to 255")
+    code = text(out / "refused.exit").strip()
+    verdict.check(is_refused and code == "1", "controls: what one does not take is refused", (message, code))
+    brightness = re.findall(r"^ +brightness +(0 to 255, .*)$", text(out / "devices"), re.M)
+    is_set = brightness == ["0 to 255, default 128, now 100"]
+    verdict.check(is_set, "controls: brightness is set again after the camera came back", brightness)
+
+
 def check_drive(verdict, out):
     """A drive of two laps in MJPG: founded in the first, recognised in the second, one frame broken."""
     run = Run(out, "drive")
@@ -163,6 +174,7 @@ def main():
     verdict.check([event for _, event in events(out)][-1:] == ["done"], "the machine did all that it was to do")
     check_formats(verdict, out)
     check_replug(verdict, out)
+    check_controls(verdict, out)
     check_drive(verdict, out)
     check_devices(verdict, out)
     sys.exit(1 if verdict.failures else 0)

@@ -7,7 +7,7 @@ use v4l::buffer::{Flags, Metadata};
 use super::device::Delivery;
 use super::pixels;
 use super::spec::PixelFormat;
-use crate::frame::Frame;
+use crate::frame::{Frame, FrameMemory};
 use crate::kernel::luma_in;
 use crate::source::{SourceError, codec};
 
@@ -28,7 +28,7 @@ impl Developer {
         (index, capture_nanos): (u64, i64),
         spare: Option<Frame>,
     ) -> Result<Frame, String> {
-        let Spare { mut name, colour, grey, jpeg: mut kept } = Spare::of(spare);
+        let FrameMemory { mut name, colour, grey, jpeg: mut kept } = FrameMemory::of(spare);
         name.clear();
         // Writing to a text does not fail.
         let _ = write!(name, "{}#{index:06}", self.device);
@@ -53,28 +53,6 @@ impl Developer {
             kept
         });
         Ok(Frame { index, capture_nanos, name, colour, grey, jpeg, pose: None, true_place: None })
-    }
-}
-
-/// Memory for a frame.
-#[derive(Default)]
-struct Spare {
-    name: String,
-    colour: Vec<u8>,
-    grey: Vec<u8>,
-    jpeg: Vec<u8>,
-}
-
-impl Spare {
-    /// That of a frame which nobody needs any more, if there is one.
-    fn of(frame: Option<Frame>) -> Self {
-        let memory = |Frame { name, colour, grey, jpeg, .. }: Frame| Self {
-            name,
-            colour: colour.into_pixels(),
-            grey: grey.into_pixels(),
-            jpeg: jpeg.unwrap_or_default(),
-        };
-        frame.map(memory).unwrap_or_default()
     }
 }
 

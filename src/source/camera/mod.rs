@@ -101,6 +101,8 @@ enum Fault {
     NotYet,
     /// The frame is damaged, which is no fault of the stream.
     Frame(String),
+    /// The camera gives something else than what was agreed on.
+    Change,
     Stream(io::Error),
 }
 
@@ -144,6 +146,7 @@ impl<D: Driver> CameraSource<D> {
                 Err(SourceError::NotYet)
             }
             Err(Fault::Frame(reason)) => Err(self.is_damaged(camera, reason)),
+            Err(Fault::Change) => Err(self.is_changed(camera)),
             Err(Fault::Stream(error)) => Err(self.failed(camera, &error)),
         }
     }
@@ -156,6 +159,9 @@ impl<D: Driver> CameraSource<D> {
     ) -> Result<Frame, Fault> {
         let patience = self.patience(camera.developer.delivery.fps);
         loop {
+            if self.is_other(camera) {
+                return Err(Fault::Change);
+            }
             let (bytes, metadata) = camera.stream.next(Instant::now() + patience).map_err(Fault::Stream)?;
             let arrived = Clocks::now();
             self.welcome(&mut camera.greeting);
@@ -169,6 +175,13 @@ impl<D: Driver> CameraSource<D> {
                 return Err(Fault::NotYet);
             }
         }
+    }
+
+    /// Whether what comes next is something else than what was agreed on. Buffers have a size, so that can only be where
+    /// the stream, but not the camera, is opened anew.
+    fn is_other(&self, camera: &OpenCamera<D::Stream>) -> bool {
+        let is_anew = self.outage.has_failed() && camera.greeting.is_none();
+        is_anew && camera.stream.has_changed(&camera.developer.delivery)
     }
 
     /// A frame came: whatever was wrong is over.
@@ -228,17 +241,24 @@ impl<D: Driver> CameraSource<D> {
         Ok(OpenCamera { stream, developer, greeting })
     }
 
-    /// Says that a frame is damaged; where many are, or the format is not the one that was agreed on, the camera is
-    /// opened anew.
+    /// Says that a frame is damaged; where many are, the camera is opened anew.
     fn is_damaged(&mut self, camera: OpenCamera<D::Stream>, reason: String) -> SourceError {
+        if camera.stream.has_changed(&camera.developer.delivery) {
+            return self.is_changed(camera);
+        }
         self.damaged += 1;
-        let has_changed = camera.stream.has_changed(&camera.developer.delivery);
-        if has_changed || self.damaged >= MAX_DAMAGED {
+        if self.damaged >= MAX_DAMAGED {
             self.close(camera);
         } else {
             self.open = Some(camera);
         }
-        self.error(if has_changed { CHANGED.to_owned() } else { reason })
+        SourceError::DamagedFrame { device: self.spec.device.clone(), reason }
+    }
+
+    /// Says that the format is not the one that was agreed on, unless that was said; it will be agreed on anew.
+    fn is_changed(&mut self, camera: OpenCamera<D::Stream>) -> SourceError {
+        self.close(camera);
+        self.told(CHANGED.to_owned())
     }
 
     /// Says what went wrong with the stream, unless that was said. The stream is opened anew, and the camera if that

@@ -27,6 +27,11 @@ impl Outage {
         is_news
     }
 
+    /// Whether the stream has failed in this outage.
+    pub(super) fn has_failed(&self) -> bool {
+        self.failures > 0
+    }
+
     /// Counts a failure; answers whether it is time for opening the camera anew.
     pub(super) fn count_failure(&mut self) -> bool {
         self.failures = self.failures.saturating_add(1);

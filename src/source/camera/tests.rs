@@ -235,6 +235,17 @@ fn a_changed_format_is_agreed_on_anew_at_once() {
 }
 
 #[test]
+fn a_format_that_changed_while_the_camera_was_silent_is_agreed_on_anew_before_a_frame_is_believed() {
+    let (mut source, stage) = scripted([Act::Silence, Act::Frame(0), Act::Frame(1)]);
+    assert_eq!(next(&mut source).unwrap_err(), SILENT_MESSAGE);
+    stage.script(|script| script.has_changed = true);
+    assert_eq!(next(&mut source).unwrap_err(), "camera /dev/video0: its format changed; opening it anew");
+    // A driver that never says what was agreed on is believed once it has just been asked.
+    assert_eq!((next(&mut source), next(&mut source)), (Ok(0), Ok(1)));
+    assert_eq!(stage.script(|script| script.opened.len()), 2);
+}
+
+#[test]
 fn a_signal_is_no_fault_of_the_camera() {
     const EINTR: i32 = 4;
     let (mut source, _) = scripted([Act::Error(EINTR), Act::Frame(0)]);
