@@ -25,6 +25,7 @@ pub mod vocabulary;
 pub mod cnn;
 pub mod feature;
 
+pub mod codec;
 pub mod kernel;
 #[cfg(feature = "train")]
 pub mod onnx;

@@ -18,6 +18,7 @@ mod size;
 mod stream;
 #[cfg(feature = "train")]
 mod train;
+mod viewers;
 mod vocab;
 mod voice;
 

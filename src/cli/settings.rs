@@ -12,7 +12,7 @@ use clap::{Args, ValueEnum};
 use loci::pipeline::CpuBudget;
 use loci::place_map::Durability;
 use loci::source::PoseAddress;
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
 
 use super::WrongArgument;
 use super::size::Size;
@@ -78,9 +78,15 @@ pub(super) struct StreamSettings {
     #[arg(long, env = "LOCI_GROW_VOCABULARY", num_args = 0..=1, require_equals = true,
           default_missing_value = "true", value_name = "BOOL")]
     pub(super) grow_vocabulary: Option<bool>,
-    /// Show it in rerun: off, spawn, connect=ADDR, serve[=ADDR] or save=FILE.rrd [default: off]
-    #[arg(long, env = "LOCI_RERUN", value_name = "TARGET")]
-    pub(super) rerun: Option<String>,
+    /// Show it in rerun: off, spawn, connect=ADDR, serve[=ADDR] or save=FILE.rrd; given again, there, too
+    /// [env: LOCI_RERUN=, parted by ','] [default: off]
+    #[arg(long, value_name = "TARGET")]
+    #[serde(deserialize_with = "one_or_several")]
+    pub(super) rerun: Vec<String>,
+    /// How much is shown: lean (answers, map, curves, a small picture a second), normal (camera, matches and
+    /// similarities, too, ten frames a second at most), full (all of every frame) [default: normal]
+    #[arg(long, env = "LOCI_RERUN_DETAIL", value_name = "DETAIL")]
+    pub(super) rerun_detail: Option<String>,
     /// Processor time that all of it may take: a share of one core such as 50%, or cores such as 1.5. Frames of a
     /// camera beyond that are left out, files are read more slowly [default: all there is]
     #[arg(long, env = "LOCI_CPU_BUDGET", value_name = "CORES")]
@@ -95,6 +101,10 @@ impl StreamSettings {
     pub(super) fn completed(mut self, config: Option<&Path>) -> anyhow::Result<Self> {
         if self.vocab.is_empty() {
             self.vocab = vocabularies_in(env::var_os("LOCI_VOCAB"));
+        }
+        if self.rerun.is_empty() {
+            let targets = env::var("LOCI_RERUN").unwrap_or_default();
+            self.rerun = targets.split(',').filter(|target| !target.is_empty()).map(str::to_owned).collect();
         }
         let Some(path) = config else { return Ok(self) };
         let text = fs::read_to_string(path)
@@ -125,7 +135,8 @@ impl StreamSettings {
             sequence: self.sequence.or(other.sequence),
             read_only: self.read_only.or(other.read_only),
             grow_vocabulary: self.grow_vocabulary.or(other.grow_vocabulary),
-            rerun: self.rerun.or(other.rerun),
+            rerun: if self.rerun.is_empty() { other.rerun } else { self.rerun },
+            rerun_detail: self.rerun_detail.or(other.rerun_detail),
             cpu_budget: self.cpu_budget.or(other.cpu_budget),
             threads: self.threads.or(other.threads),
         }
@@ -136,6 +147,20 @@ impl StreamSettings {
 fn vocabularies_in(variable: Option<OsString>) -> Vec<PathBuf> {
     let names = variable.iter().flat_map(env::split_paths);
     names.filter(|name| !name.as_os_str().is_empty()).collect()
+}
+
+/// A text, or a list of them.
+fn one_or_several<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<String>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged, expecting = "expected a text or a list of texts")]
+    enum Texts {
+        One(String),
+        Several(Vec<String>),
+    }
+    Ok(match Texts::deserialize(deserializer)? {
+        Texts::One(text) => vec![text],
+        Texts::Several(texts) => texts,
+    })
 }
 
 /// What is wrong with the file's `text`, behind the file's name.
@@ -163,6 +188,15 @@ mod tests {
         assert_eq!(settings.place_interval, Some(9));
         assert_eq!(settings.threads, NonZero::new(2));
         assert_eq!(settings.read_only, Some(true));
+    }
+
+    #[test]
+    fn where_it_is_shown_may_be_one_or_a_list() {
+        let shown = |file: &str| completed(StreamSettings::default(), file).map(|settings| settings.rerun);
+        assert_eq!(shown("rerun = 'spawn'").unwrap(), ["spawn"]);
+        assert_eq!(shown("rerun = ['spawn', 'save=a.rrd']").unwrap(), ["spawn", "save=a.rrd"]);
+        let error = shown("rerun = 7").unwrap_err().to_string();
+        assert!(error.ends_with("loci.toml, line 1: expected a text or a list of texts"), "{error}");
     }
 
     #[test]

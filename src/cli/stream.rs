@@ -16,6 +16,7 @@ use loci::vocabulary::VocabularySet;
 use super::console::counted;
 use super::settings::{StreamSettings, Switch};
 use super::size::Size;
+use super::viewers::Viewers;
 use super::{WrongArgument, assets};
 
 /// Smallest `--map-disk` and `--map-memory`: below, a map is too small to be one.
@@ -29,7 +30,7 @@ pub(super) fn pipeline(
     settings: &StreamSettings,
     mut sinks: Vec<Box<dyn RecognitionSink>>,
 ) -> anyhow::Result<Pipeline> {
-    let rerun = rerun_target(settings.rerun.as_deref())?;
+    let viewers = Viewers::of(settings)?;
     let (options, map_options) = (recognition_options(settings)?, map_options(settings)?);
     let sample_interval = settings.sample_interval.map(|interval| u64::from(interval.get()));
     let mut source = source::open(source, sample_interval)?;
@@ -58,7 +59,7 @@ pub(super) fn pipeline(
         recogniser.read_only_because(unwritable);
     }
     // Last, so that a run that cannot start replaces no recording and opens no viewer.
-    sinks.extend(rerun_sink(&rerun)?);
+    sinks.extend(viewers.open()?);
     let extractor = OrbExtractor::new(OrbOptions::default());
     let budget = settings.cpu_budget;
     Ok(Pipeline { source, extractor, model, model_folder, recogniser, sinks, budget })
@@ -190,39 +191,6 @@ fn report_condition(map: &PlaceMap) {
     if let Some(fault) = map.snapshot_fault() {
         eprintln!("loci: the journal was read from its beginning: {fault}");
     }
-}
-
-#[cfg(feature = "rerun")]
-type RerunTarget = loci::telemetry::RerunTarget;
-
-#[cfg(feature = "rerun")]
-fn rerun_target(text: Option<&str>) -> anyhow::Result<RerunTarget> {
-    Ok(text.unwrap_or("off").parse::<RerunTarget>().map_err(|error| WrongArgument(error.to_string()))?)
-}
-
-#[cfg(feature = "rerun")]
-fn rerun_sink(target: &RerunTarget) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
-    match target {
-        RerunTarget::Off => Ok(None),
-        target => Ok(Some(Box::new(loci::telemetry::RerunSink::open(target)?))),
-    }
-}
-
-/// Nowhere: all that a build without rerun can show.
-#[cfg(not(feature = "rerun"))]
-struct Nowhere;
-
-#[cfg(not(feature = "rerun"))]
-fn rerun_target(text: Option<&str>) -> anyhow::Result<Nowhere> {
-    match text.unwrap_or("off") {
-        "off" => Ok(Nowhere),
-        _ => Err(WrongArgument("this build has no rerun; build with `--features rerun`".to_owned()).into()),
-    }
-}
-
-#[cfg(not(feature = "rerun"))]
-fn rerun_sink(_: &Nowhere) -> anyhow::Result<Option<Box<dyn RecognitionSink>>> {
-    Ok(None)
 }
 
 /// A flag that Ctrl-C and SIGTERM set. The second one ends the program at once.

@@ -1,13 +1,13 @@
-//! Lines on stderr, above whatever is shown there. A thread of their own writes them, so that a live stream does not wait
-//! for a terminal that is stopped or a reader that is slow.
+//! Lines on stderr, above whatever is shown there. A thread of their own writes them, so that a live stream does not
+//! wait for a terminal that is stopped or a reader that is slow.
 
 use std::io::{self, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use indicatif::ProgressBar;
 
 use super::console::counted;
@@ -20,7 +20,7 @@ const REPETITION: Duration = Duration::from_secs(10);
 /// Says lines. When it is dropped, all of them have been written.
 pub(super) struct Voice {
     /// `None` once the last line was said.
-    lines: Option<Sender<String>>,
+    lines: Option<SyncSender<String>>,
     left_out: Arc<AtomicU64>,
     writer: Option<JoinHandle<()>>,
 }
@@ -35,7 +35,7 @@ impl Voice {
     }
 
     fn to(write: impl Fn(&str) + Send + 'static) -> io::Result<Self> {
-        let (lines, said) = bounded(MOST_WAITING);
+        let (lines, said) = sync_channel(MOST_WAITING);
         let left_out = Arc::<AtomicU64>::default();
         let counter = Arc::clone(&left_out);
         let writer = thread::Builder::new().name("loci-voice".to_owned());
@@ -103,8 +103,8 @@ mod tests {
     use super::*;
 
     /// A voice whose lines are collected, each as soon as it is allowed by a message.
-    fn collected() -> (Voice, Sender<()>, Arc<Mutex<Vec<String>>>) {
-        let (allow, allowed) = bounded::<()>(1000);
+    fn collected() -> (Voice, SyncSender<()>, Arc<Mutex<Vec<String>>>) {
+        let (allow, allowed) = sync_channel::<()>(1000);
         let heard = Arc::<Mutex<Vec<String>>>::default();
         let ear = Arc::clone(&heard);
         let voice = Voice::to(move |line| {

@@ -8,16 +8,17 @@ use crossbeam_channel::Sender;
 use super::delivery::Delivery;
 use super::desk::Desk;
 use super::exchange::ModelInUse;
+use super::onlooker::Onlooker;
 use super::perception::{PerceptionLatency, Seen};
 use super::pool::Pool;
 use super::stages::micros;
 use super::{PipelineError, RunSummary, Watcher};
 use crate::cnn;
 use crate::frame::Frame;
-use crate::place_map::{MapError, PlaceMap};
-use crate::recognition::{Decision, Look, Recogniser, Recognition};
+use crate::place_map::MapError;
+use crate::recognition::{Look, Recogniser};
 use crate::source::thumbnail_jpeg;
-use crate::telemetry::{FrameRecord, Losses, MatchedKeyframe, StageLatency};
+use crate::telemetry::{FrameRecord, Losses, StageLatency};
 
 /// Records whose memory is kept: more than are under way where no sink is slow.
 const POOLED: usize = 24;
@@ -33,7 +34,8 @@ pub(super) struct Decider<'a> {
     pub(super) delivery: Delivery,
     /// Take what is not needed any more.
     pub(super) spare: (Sender<Look>, Sender<cnn::Descriptor>),
-    pub(super) shows_matched: bool,
+    /// Somebody who looks on, if anybody does.
+    pub(super) onlooker: Option<Onlooker>,
     pub(super) watcher: &'a dyn Watcher,
 }
 
@@ -44,6 +46,9 @@ impl Decider<'_> {
         perceive: impl FnOnce(Visit<'_>) -> Result<Losses, PipelineError>,
     ) -> Result<RunSummary, PipelineError> {
         let mut summary = RunSummary::new(self.recogniser.has_cnn(), self.delivery.is_live);
+        if self.onlooker.is_some() {
+            self.recogniser.keep_insight();
+        }
         let mut records = Pool::new(POOLED);
         let perceived = perceive(&mut |seen| {
             let (record, failure) = self.answer(seen);
@@ -71,7 +76,10 @@ impl Decider<'_> {
 
     /// Lets the memory of an answer that was delivered be used again; where there is no room for it, it is given up.
     fn give_back(&mut self, record: FrameRecord) {
-        let FrameRecord { mut look, recognition, .. } = record;
+        let FrameRecord { mut look, recognition, insight, .. } = record;
+        if let Some(onlooker) = &mut self.onlooker {
+            onlooker.take_back(insight);
+        }
         let (looks, descriptors) = &self.spare;
         look.appearance.take().into_iter().for_each(|descriptor| drop(descriptors.try_send(descriptor)));
         drop(looks.try_send(look));
@@ -80,7 +88,7 @@ impl Decider<'_> {
 
     /// Decides a frame by the model that described it; answers, besides, what failed of the map.
     fn answer(&mut self, mut seen: Seen) -> (FrameRecord, Option<MapError>) {
-        let Self { recogniser, desk, delivery, shows_matched, watcher, .. } = self;
+        let Self { recogniser, desk, delivery, onlooker, watcher, .. } = self;
         let (started, before_us) = (Instant::now(), seen.latency.longest_us());
         let captured_at = seen.captured_at;
         (seen.flow.waiting.sinks, seen.flow.missed_records) = (delivery.waiting(), delivery.missed);
@@ -95,11 +103,8 @@ impl Decider<'_> {
         }
         record.latency.total_us = before_us + micros(started);
         let mut failure = recogniser.take_map_failure();
-        if *shows_matched {
-            match matched_keyframe(recogniser.map(), &record.recognition) {
-                Ok(matched) => record.matched = matched,
-                Err(unreadable) => failure = failure.or(Some(unreadable)),
-            }
+        if let Some(onlooker) = onlooker {
+            failure = failure.or(onlooker.show(recogniser, &mut record).err());
         }
         record.latency.answer_us = micros(captured_at);
         (record, failure)
@@ -137,20 +142,5 @@ fn decide(recogniser: &mut Recogniser, seen: Seen) -> FrameRecord {
     let (total_us, answer_us) = (0, 0);
     let latency =
         StageLatency { decode_us, features_us, cnn_us, retrieval_us, verification_us, total_us, answer_us };
-    FrameRecord { frame, look, recognition, matched: None, cnn, model: None, latency, flow }
-}
-
-fn matched_keyframe(map: &PlaceMap, recognition: &Recognition) -> Result<Option<MatchedKeyframe>, MapError> {
-    let is_match = matches!(recognition.decision, Decision::Recognised | Decision::Revisited);
-    // It may just have been given up.
-    let keyframe = recognition.keyframe.filter(|&id| is_match && map.experience(id).is_some());
-    let Some(experience) = keyframe else { return Ok(None) };
-    let features = map.features(experience)?;
-    Ok(Some(MatchedKeyframe {
-        experience,
-        frame_name: map.origin(experience)?.frame_name,
-        width_px: features.width_px,
-        height_px: features.height_px,
-        thumbnail_jpeg: map.thumbnail_jpeg(experience)?,
-    }))
+    FrameRecord { frame, look, recognition, matched: None, insight: None, cnn, model: None, latency, flow }
 }

@@ -25,6 +25,7 @@ mod intake;
 mod model_keeper;
 #[cfg(all(test, feature = "cnn"))]
 mod model_tests;
+mod onlooker;
 mod pacing;
 mod perception;
 mod pool;
@@ -54,6 +55,7 @@ use crate::telemetry::{RecognitionSink, TelemetryError};
 use decider::{Decider, Visit};
 use delivery::Delivery;
 use model_keeper::ModelKeeper;
+use onlooker::Onlooker;
 use perception::Spare;
 
 /// Frames that wait between two stages at most.
@@ -110,7 +112,7 @@ impl Pipeline {
             Durability::Interval(interval) => Some((recogniser.map().syncer(), interval)),
             Durability::Every | Durability::None => None,
         };
-        let shows_matched = sinks.iter().any(|sink| sink.shows_matched_keyframe());
+        let onlooker = sinks.iter().any(|sink| sink.looks_on()).then(Onlooker::default);
         let delivery = Delivery::start(sinks, source.is_live())?;
         let ((spare_looks, looks), (spare_descriptors, descriptors)) = (bounded(SPARE), bounded(SPARE));
         thread::scope(|scope| {
@@ -126,7 +128,7 @@ impl Pipeline {
                 stages::named("models").spawn_scoped(scope, move || keeper.run())?;
             }
             let spare = (spare_looks, spare_descriptors);
-            let decider = Decider { recogniser, desk, delivery, spare, shows_matched, watcher };
+            let decider = Decider { recogniser, desk, delivery, spare, onlooker, watcher };
             let summary = decider.run(perceive);
             drop::<Sender<()>>(keeping);
             summary

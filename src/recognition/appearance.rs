@@ -10,6 +10,8 @@ use crate::place_map::{ExperienceId, PlaceId};
 
 /// What the allocator and those who count who shares it take of every descriptor.
 pub(super) const ALLOCATION_BYTES: usize = 32;
+/// Keyframes of which it is kept at most how like a frame they are.
+const MOST_SIMILARITIES: usize = 1 << 16;
 /// Memory of a position, with what tables keep in reserve.
 const POSITION_BYTES: usize = 16;
 
@@ -27,6 +29,8 @@ pub(super) struct AppearanceIndex {
     positions: HashMap<ExperienceId, u32>,
     /// What was asked for last; its memory serves the next one.
     asked: Option<CompactDescriptor>,
+    /// How like it each keyframe is, where somebody looks on.
+    similarities: Option<Vec<(ExperienceId, f32)>>,
 }
 
 impl AppearanceIndex {
@@ -69,6 +73,16 @@ impl AppearanceIndex {
         self.entries.len() * (values + size_of::<Entry>() + POSITION_BYTES)
     }
 
+    /// From now on it is kept how like every keyframe is what is asked for.
+    pub(super) fn keep_similarities(&mut self) {
+        self.similarities.get_or_insert_default();
+    }
+
+    /// How like every keyframe is what was asked for last, to be taken away; empty where that is not kept.
+    pub(super) fn similarities(&mut self) -> Option<&mut Vec<(ExperienceId, f32)>> {
+        self.similarities.as_mut()
+    }
+
     /// The best keyframe of each of the places that are most like `descriptor`, best first.
     pub(super) fn query(&mut self, descriptor: &cnn::Descriptor) -> FixedVec<Candidate, MAX_CANDIDATES> {
         let asked = match &mut self.asked {
@@ -79,8 +93,13 @@ impl AppearanceIndex {
             none => none.insert(descriptor.into()),
         };
         let mut best: FixedVec<Candidate, MAX_CANDIDATES> = FixedVec::new();
+        let mut similarities = self.similarities.as_mut().filter(|_| self.entries.len() <= MOST_SIMILARITIES);
+        similarities.iter_mut().for_each(|similarities| similarities.clear());
         for entry in &self.entries {
             let score = asked.cosine(&entry.descriptor);
+            if let Some(similarities) = &mut similarities {
+                similarities.push((entry.keyframe, score));
+            }
             if let Some(known) = best.iter().position(|candidate| candidate.place == entry.place) {
                 if best[known].score >= score {
                     continue;

@@ -119,6 +119,11 @@ impl Belief {
         self.of(place) + next.iter().map(|&id| self.of(id)).sum::<f32>()
     }
 
+    /// The places that stand out, with their probabilities.
+    pub(super) fn places(&self) -> impl Iterator<Item = (PlaceId, f32)> {
+        self.places.iter()
+    }
+
     /// Probability of a place.
     pub(super) fn of(&self, place: PlaceId) -> f32 {
         self.places.get(place).unwrap_or_default()

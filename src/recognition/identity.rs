@@ -243,6 +243,7 @@ impl Recogniser {
 
     /// Tells the indices whose keyframes those of `place` are, and takes it in.
     fn regroup(&mut self, place: PlaceId) -> Result<(), MapError> {
+        self.is_map_untold = true;
         for keyframe in self.keyframes_of(place) {
             self.keyframes.rename(keyframe, place);
             self.appearances.rename(keyframe, place);

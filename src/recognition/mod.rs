@@ -18,6 +18,7 @@ mod drift;
 mod fusion;
 mod grounds;
 mod identity;
+mod insight;
 mod joining;
 mod keyframe_index;
 mod learning;
@@ -37,6 +38,7 @@ pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection, 
 pub use drift::Drift;
 pub use fusion::Clues;
 pub use grounds::{Grounds, PlaceGrounds, Thresholds};
+pub use insight::{Insight, PlaceSketch};
 pub use joining::{Join, Support};
 pub use look::Look;
 pub use options::RecognitionOptions;

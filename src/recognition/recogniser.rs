@@ -44,6 +44,8 @@ pub struct Recogniser {
     /// Whether the frame before was poor.
     pub(super) was_poor: bool,
     pub(super) foreign_descriptors: usize,
+    /// Whether those who look on have to be told of the map anew.
+    pub(super) is_map_untold: bool,
     /// Why the map cannot be read or changed, until somebody asks.
     pub(super) map_failure: Option<MapError>,
 }
@@ -78,6 +80,7 @@ impl Recogniser {
             working_set: WorkingSet::default(),
             identities: Identities::default(),
             foreign_descriptors: 0,
+            is_map_untold: false,
             map_failure: None,
         };
         recogniser.fill_working_set()?;

@@ -1,13 +1,17 @@
 //! A folder of images in natural order: `2.jpg` before `10.jpg`. Where all of their names are times, as in many data
 //! sets, they were captured then.
 
-use std::fs;
+use std::fs::{self, File};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use super::{FrameSource, SourceError, codec};
+use super::{FrameSource, SourceError, decode_in};
+use crate::codec;
 use crate::frame::{Frame, FrameMemory};
 use crate::kernel::luma_in;
 
+/// Largest image file in bytes.
+const MAX_FILE_BYTES: u64 = 64 << 20;
 /// Images whose names are no times count as captured at this nominal interval, from time 0.
 const NOMINAL_INTERVAL_NANOS: i64 = 100_000_000;
 const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
@@ -86,9 +90,9 @@ impl DirectorySource {
     /// The image at this position, in the memory of `spare`.
     fn read(&self, index: usize, spare: Option<Frame>) -> Result<Frame, SourceError> {
         let path = &self.paths[index];
-        let bytes = codec::read_image_file(path)?;
+        let bytes = read_image_file(path)?;
         let FrameMemory { colour, grey, .. } = FrameMemory::of(spare);
-        let colour = codec::decode_in(&bytes, &path.display().to_string(), colour)?;
+        let colour = decode_in(&bytes, &path.display().to_string(), colour)?;
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         Ok(Frame {
             index: index as u64,
@@ -101,6 +105,18 @@ impl DirectorySource {
             true_place: None,
         })
     }
+}
+
+/// The bytes of the image file at `path`, at most 64 MiB.
+fn read_image_file(path: &Path) -> Result<Vec<u8>, SourceError> {
+    let error = |source| SourceError::Io { path: path.to_owned(), source };
+    let mut bytes = Vec::new();
+    File::open(path).map_err(error)?.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(error)?;
+    if bytes.len() as u64 > MAX_FILE_BYTES {
+        let reason = format!("the file is larger than {} MiB", MAX_FILE_BYTES >> 20);
+        return Err(SourceError::BadImage { name: path.display().to_string(), reason });
+    }
+    Ok(bytes)
 }
 
 /// The time in nanoseconds since the epoch that a file is called by: seconds with a decimal point (TUM's RGB-D data),

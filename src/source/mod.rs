@@ -5,16 +5,15 @@
 
 #[cfg(feature = "v4l")]
 mod camera;
-mod codec;
 mod directory;
 mod paced;
 mod poses;
 pub mod synthetic;
 mod video;
 
+pub use crate::codec::{jpeg, thumbnail_jpeg};
 #[cfg(feature = "v4l")]
 pub use camera::{Camera, CameraControl, CameraFormat, ControlItem, FrameRates, FrameSize, cameras};
-pub use codec::{decode, jpeg, thumbnail_jpeg};
 pub use directory::{DirectorySource, image_files, is_image, sort_naturally};
 pub use paced::PacedSource;
 pub use poses::{PoseAddress, PoseTrack, PosedSource};
@@ -24,7 +23,9 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use crate::codec::{self, CodecError};
 use crate::frame::Frame;
+use crate::raster::RgbImage;
 
 /// A stream of frames.
 pub trait FrameSource: Send {
@@ -149,6 +150,20 @@ impl<'a> From<&'a str> for Address<'a> {
             _ => Self::Path(Path::new(text)),
         }
     }
+}
+
+/// Decodes a JPEG or PNG; `name` is what errors call it.
+///
+/// # Errors
+/// Those of [`codec::decode`].
+pub fn decode(bytes: &[u8], name: &str) -> Result<RgbImage, SourceError> {
+    decode_in(bytes, name, Vec::new())
+}
+
+/// The same; of a JPEG the pixels are made in the memory of `spare`.
+fn decode_in(bytes: &[u8], name: &str, spare: Vec<u8>) -> Result<RgbImage, SourceError> {
+    let named = |CodecError { reason }| SourceError::BadImage { name: name.to_owned(), reason };
+    codec::decode(bytes, spare).map_err(named)
 }
 
 /// The wall clock in nanoseconds since the Unix epoch.

@@ -231,12 +231,12 @@ mod tests {
             total_us: 2600,
             answer_us: 3100,
         };
-        let cnn = CnnStatus::Available;
-        let (frame, look) = (Arc::new(frame), Look::default());
+        let (frame, look, cnn) = (Arc::new(frame), Look::default(), CnnStatus::Available);
         let waiting = Waiting { features: 1, cnn: 0, recognition: 2, sinks: 4 };
         let losses = Losses { unreadable: 2, lost: 3, dropped: 7, spared: 5 };
         let flow = Flow { waiting, losses, missed_records: 9 };
-        FrameRecord { frame, look, recognition, matched: None, cnn, model: None, latency, flow }
+        let (matched, insight, model) = (None, None, None);
+        FrameRecord { frame, look, recognition, matched, insight, cnn, model, latency, flow }
     }
 
     fn line(record: &FrameRecord) -> String {

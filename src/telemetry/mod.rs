@@ -6,14 +6,14 @@ mod rerun;
 
 pub use json_lines::JsonLines;
 #[cfg(feature = "rerun")]
-pub use rerun::{RerunSink, RerunTarget};
+pub use rerun::{RerunDetail, RerunSink, RerunTarget, Rotation};
 
 use std::io;
 use std::sync::Arc;
 
 use crate::frame::Frame;
 use crate::place_map::ExperienceId;
-use crate::recognition::{Look, Recognition};
+use crate::recognition::{Insight, Look, Recognition};
 
 /// Everything that is known about a processed frame.
 #[derive(Clone, Debug)]
@@ -24,8 +24,10 @@ pub struct FrameRecord {
     pub look: Look,
     /// What was decided.
     pub recognition: Recognition,
-    /// The keyframe that was matched, if a sink asked for it.
+    /// The keyframe that was matched, if a sink looks on.
     pub matched: Option<MatchedKeyframe>,
+    /// What the answer went by, likewise.
+    pub insight: Option<Box<Insight>>,
     /// Whether the CNN took part.
     pub cnn: CnnStatus,
     /// Hash of the CNN's model, if it is another one from this frame on.
@@ -135,8 +137,9 @@ pub trait RecognitionSink: Send {
     /// If that fails.
     fn finish(&mut self) -> Result<(), TelemetryError>;
 
-    /// Whether the sink shows the matched keyframe, which costs a read from the map.
-    fn shows_matched_keyframe(&self) -> bool {
+    /// Whether the sink looks on: it shows the matched keyframe, which costs a read from the map, and what answers go
+    /// by.
+    fn looks_on(&self) -> bool {
         false
     }
 }

@@ -7,9 +7,9 @@ use v4l::buffer::{Flags, Metadata};
 use super::device::Delivery;
 use super::pixels;
 use super::spec::PixelFormat;
+use crate::codec::{self, CodecError};
 use crate::frame::{Frame, FrameMemory};
 use crate::kernel::luma_in;
-use crate::source::{SourceError, codec};
 
 /// Makes frames of buffers.
 pub(super) struct Developer {
@@ -40,7 +40,7 @@ impl Developer {
         let jpeg = without_padding(bytes);
         let colour = match format {
             PixelFormat::Mjpg if jpeg.is_empty() => Err("it is empty".to_owned()),
-            PixelFormat::Mjpg => codec::decode_in(jpeg, &name, colour).map_err(what_is_wrong),
+            PixelFormat::Mjpg => codec::decode(jpeg, colour).map_err(what_is_wrong),
             PixelFormat::Yuyv => pixels::rgb_from_yuyv(bytes, layout, range, colour),
             PixelFormat::Nv12 => pixels::rgb_from_nv12(bytes, layout, range, colour),
             PixelFormat::Grey => pixels::rgb_from_grey(bytes, layout, colour),
@@ -63,11 +63,8 @@ fn without_padding(bytes: &[u8]) -> &[u8] {
 }
 
 /// What the decoder says without its advice, which is about files.
-fn what_is_wrong(error: SourceError) -> String {
-    match error {
-        SourceError::BadImage { reason, .. } => reason.split("; ").next().unwrap_or_default().to_owned(),
-        other => other.to_string(),
-    }
+fn what_is_wrong(CodecError { reason }: CodecError) -> String {
+    reason.split("; ").next().unwrap_or_default().to_owned()
 }
 
 #[cfg(test)]

@@ -177,8 +177,8 @@ impl<D: Driver> CameraSource<D> {
         }
     }
 
-    /// Whether what comes next is something else than what was agreed on. Buffers have a size, so that can only be where
-    /// the stream, but not the camera, is opened anew.
+    /// Whether what comes next is something else than what was agreed on. Buffers have a size, so that can only be
+    /// where the stream, but not the camera, is opened anew.
     fn is_other(&self, camera: &OpenCamera<D::Stream>) -> bool {
         let is_anew = self.outage.has_failed() && camera.greeting.is_none();
         is_anew && camera.stream.has_changed(&camera.developer.delivery)

@@ -15,8 +15,8 @@ use std::process::Command;
 use super::process::{Process, channel};
 use super::selection::Selection;
 use super::{PATIENCE, Programs, add_input};
+use crate::codec;
 use crate::raster::RgbImage;
-use crate::source::codec;
 
 /// Longer than any line that ffmpeg writes here.
 const MAX_LINE_BYTES: u64 = 256;

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 
 use super::process::{Process, channel};
 use super::{PATIENCE, Programs, add_input};
-use crate::source::codec;
+use crate::codec;
 
 /// Frames a second of a video that does not say.
 const USUAL_FPS: f64 = 30.0;

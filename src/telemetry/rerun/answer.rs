@@ -1,15 +1,16 @@
 //! The answer, for people: in words, as a line of the log, and as curves over time.
 
 use std::fmt::Write;
+use std::iter;
 
 use ::rerun::{
-    Color, RecordingStream, RecordingStreamResult, Scalars, SeriesLines, SeriesPoints, TextDocument, TextLog,
-    TextLogLevel,
+    BarChart, Color, RecordingStream, RecordingStreamResult, Scalars, SeriesLines, SeriesPoints,
+    TextDocument, TextLog, TextLogLevel,
 };
 
 use super::style;
 use super::target::one_line;
-use crate::recognition::{Candidate, Decision, Evidence, Recognition};
+use crate::recognition::{Candidate, Decision, Evidence, Insight, Recognition};
 use crate::telemetry::{CnnStatus, Flow, FrameRecord, Losses, StageLatency};
 
 /// Candidates that the answer lists.
@@ -60,11 +61,23 @@ pub(super) fn show(stream: &RecordingStream, record: &FrameRecord) -> RecordingS
     for ((path, ..), count) in style::FLOW.into_iter().zip(counts(record.flow)) {
         stream.log(path, &Scalars::single(count as f64))?;
     }
+    if let Some(insight) = &record.insight {
+        stream.log(style::BELIEF, &belief(insight))?;
+    }
     stream.log(style::NOW, &TextDocument::from_markdown(markdown(record)))?;
     let line = TextLog::new(log_line(record))
         .with_level(level(record))
         .with_color(style::colour(recognition.decision));
     stream.log(style::LOG, &line)
+}
+
+/// A bar for every place that stands out, and one at −1 for none of them.
+fn belief(insight: &Insight) -> BarChart {
+    let shares = insight.belief.iter().map(|(_, share)| *share);
+    let heights: Vec<f32> = iter::once(insight.elsewhere).chain(shares).collect();
+    let places = insight.belief.iter().map(|(place, _)| i64::from(place.0));
+    let positions: Vec<i64> = iter::once(-1).chain(places).collect();
+    BarChart::new(heights.as_slice()).with_abscissa(positions.as_slice()).with_color(style::BLUE)
 }
 
 /// Says that frames were left out because the viewer is slow.

@@ -1,17 +1,18 @@
 //! The layout that a viewer opens a recording with.
 //!
-//! Above, the camera with its keypoints and, twice as wide, the frame beside the matched keyframe;
-//! below, places and measures over time, the current answer and the log. Side panels are folded away.
+//! Above, the camera with its keypoints and, twice as wide, the frame beside the matched keyframe. Below, from left to
+//! right: where the robot is, on the map and by what is believed; why, by similarities and curves over time; and the
+//! answer in words, with the log. Side panels are folded away.
 //!
 //! rerun's Rust layouts of 0.36 lack most properties of views, such as the part of the plane that a 2-D
 //! view shows and where the legend of a plot stands. They are logged into the layout's own store here,
 //! as its Python layouts do.
 
-use ::rerun::blueprint::components::{Corner2D, PanelState, TextLogColumn, VisualBounds2D};
+use ::rerun::blueprint::components::{Corner2D, PanelState, PlayState, TextLogColumn, VisualBounds2D};
 use ::rerun::blueprint::datatypes::{self, TextLogColumnKind};
 use ::rerun::blueprint::{
-    Blueprint, BlueprintActivation, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial2DView,
-    Tabs, TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical,
+    BarChartView, Blueprint, BlueprintActivation, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel,
+    Spatial2DView, Tabs, TextDocumentView, TextLogView, TimePanel, TimeSeriesView, Vertical,
 };
 use ::rerun::components::{self, Visible};
 use ::rerun::datatypes::{Bool, Range1D, Range2D};
@@ -74,27 +75,38 @@ impl Layout {
             self.shows(matched.into(), match_width_px, height_px),
         ]);
         let measures = Tabs::new([
+            self.series("Place", style::PLACE, Some(Corner2D::LeftTop)),
             self.confidence(),
             self.series("Effective inliers", style::INLIERS, None),
             self.series("Latency in ms", "latency", Some(Corner2D::LeftTop)),
             self.series("Queues and losses", "flow", Some(Corner2D::LeftTop)),
         ]);
-        let curves =
-            Vertical::new([self.series("Place", style::PLACE, Some(Corner2D::LeftTop)), measures.into()]);
+        let similarity = Spatial2DView::new("Similarity of frames (right) to keyframes (down)");
+        let similarity = similarity.with_origin(style::SIMILARITY).into();
+        let reasons = Vertical::new([similarity, measures.into()]);
+        let belief = BarChartView::new("Belief over places (−1: none of them)").with_origin(style::BELIEF);
+        let belief = self.with_legend(belief.into(), None);
+        let map = Spatial2DView::new("Map").with_origin(style::MAP);
+        let whereabouts = Vertical::new([map.into(), belief]);
         let words = Vertical::new([
             TextDocumentView::new("Answer").with_origin(style::NOW).into(),
             self.log(TextLogView::new("Log").with_origin(style::LOG).into()),
         ]);
-        let answers = Horizontal::new([curves.into(), words.with_row_shares([1.3, 1.0]).into()]);
+        let answers = Horizontal::new([
+            whereabouts.with_row_shares([1.6, 1.0]).into(),
+            reasons.into(),
+            words.with_row_shares([1.3, 1.0]).into(),
+        ]);
         let all = Vertical::new([pictures.with_column_shares([1.0, 2.0]).into(), answers.into()]);
+        // What is newest is shown, live and of a file, until somebody goes back.
+        let time = TimePanel::new().with_state(PanelState::Collapsed).with_play_state(PlayState::Following);
+        let time = time.with_timeline(super::FRAME_TIMELINE);
         Blueprint::new(all.with_row_shares([1.0, 1.25]))
             .with_auto_views(false)
             .with_auto_layout(false)
             .with_blueprint_panel(BlueprintPanel::new().with_state(PanelState::Hidden))
             .with_selection_panel(SelectionPanel::new().with_state(PanelState::Hidden))
-            .with_time_panel(
-                TimePanel::new().with_state(PanelState::Collapsed).with_timeline(super::FRAME_TIMELINE),
-            )
+            .with_time_panel(time)
     }
 
     /// Pictures stand still whatever is drawn on them.
@@ -108,7 +120,11 @@ impl Layout {
 
     /// A single curve, named by its tab, needs no legend.
     fn series(&mut self, name: &str, origin: &str, legend: Option<Corner2D>) -> ContainerLike {
-        let view = TimeSeriesView::new(name).with_origin(origin).into();
+        self.with_legend(TimeSeriesView::new(name).with_origin(origin).into(), legend)
+    }
+
+    /// The same view, with a legend in that corner or none.
+    fn with_legend(&mut self, view: ContainerLike, legend: Option<Corner2D>) -> ContainerLike {
         let visible = Visible(Bool(legend.is_some()));
         self.set(
             &view,

@@ -9,30 +9,37 @@
 
 mod answer;
 mod blueprint;
+mod detail;
+mod file;
 mod jpeg;
+mod layout;
 mod live;
+mod place_graph;
+mod rotation;
 mod scene;
+mod similarity;
 mod style;
 mod target;
+mod trajectory;
 
 #[cfg(test)]
 mod tests;
 
+pub use detail::RerunDetail;
+pub use rotation::Rotation;
 pub use target::RerunTarget;
 
-use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
 use std::mem;
-use std::path::Path;
 use std::time::Duration;
 
-use ::rerun::sink::FileSinkError;
-use ::rerun::{
-    RecordingStream, RecordingStreamBuilder, RecordingStreamError, RecordingStreamResult, TimeCell,
-};
+use ::rerun::{RecordingStream, RecordingStreamBuilder, RecordingStreamResult, TimeCell};
 
+use self::detail::PicturePace;
+use self::file::RecordingFile;
 use self::live::{Live, Relay};
+use self::place_graph::PlaceGraph;
 use self::scene::Scene;
+use self::similarity::SimilarityPicture;
 use self::target::one_line;
 use super::{FrameRecord, RecognitionSink, TelemetryError};
 
@@ -54,7 +61,13 @@ pub struct RerunSink {
     target: RerunTarget,
     stream: RecordingStream,
     live: Option<Live>,
+    /// The file that is written, if one is.
+    file: Option<RecordingFile>,
+    detail: RerunDetail,
+    pace: PicturePace,
     scene: Scene,
+    graph: PlaceGraph,
+    similarities: SimilarityPicture,
     /// Whether capture times are dates; the first frame tells.
     has_dates: Option<bool>,
     /// Frames left out since the viewer fell behind.
@@ -62,19 +75,34 @@ pub struct RerunSink {
 }
 
 impl RerunSink {
-    /// Opens a recording to `target`; what goes to [`RerunTarget::Off`] is shown to nobody. A file that
+    /// Opens a recording to `target` in this detail; what goes to [`RerunTarget::Off`] is shown to nobody. A file that
     /// is there already is replaced. A viewer to connect to may come later.
     ///
     /// # Errors
     /// If the file cannot be written, the address is taken, or no viewer can be started.
-    pub fn open(target: &RerunTarget) -> Result<Self, TelemetryError> {
-        let (stream, live) = open(target).map_err(|reason| refusal(target, &reason))?;
-        // Time comes from the frames alone.
-        stream.set_log_time_enabled(false);
-        stream.set_log_tick_enabled(false);
-        answer::dress(&stream).map_err(|error| refusal(target, &error.to_string()))?;
-        let target = target.clone();
-        Ok(Self { target, stream, live, scene: Scene::default(), has_dates: None, frames_left_out: 0 })
+    pub fn open(target: &RerunTarget, detail: RerunDetail) -> Result<Self, TelemetryError> {
+        let refused = |reason: String| refusal(target, &reason);
+        let mut file = match target {
+            RerunTarget::Save(file, rotation) => Some(RecordingFile::new(file, *rotation).map_err(refused)?),
+            _ => None,
+        };
+        let (stream, live) = match &mut file {
+            Some(file) => (file.begin().map_err(refused)?, None),
+            None => open(target).map_err(refused)?,
+        };
+        Ok(Self {
+            target: target.clone(),
+            stream: dressed(stream).map_err(|error| refusal(target, &error.to_string()))?,
+            live,
+            file,
+            detail,
+            pace: PicturePace::of(detail),
+            scene: Scene::new(detail),
+            graph: PlaceGraph::default(),
+            similarities: SimilarityPicture::default(),
+            has_dates: None,
+            frames_left_out: 0,
+        })
     }
 
     fn show(&mut self, record: &FrameRecord) -> RecordingStreamResult<()> {
@@ -82,8 +110,22 @@ impl RerunSink {
         if self.frames_left_out > 0 {
             answer::show_gap(&self.stream, mem::take(&mut self.frames_left_out))?;
         }
-        self.scene.show(&self.stream, record)?;
+        if self.pace.is_due(record.frame.capture_nanos) {
+            self.scene.show(&self.stream, record)?;
+        }
+        if self.detail.shows_evidence() {
+            self.show_similarities(record)?;
+        }
+        self.graph.show(&self.stream, record)?;
         answer::show(&self.stream, record)
+    }
+
+    fn show_similarities(&mut self, record: &FrameRecord) -> RecordingStreamResult<()> {
+        let Some(insight) = &record.insight else { return Ok(()) };
+        if self.similarities.add(&insight.similarities, &record.recognition) {
+            self.similarities.show(&self.stream)?;
+        }
+        Ok(())
     }
 
     fn set_time(&mut self, record: &FrameRecord) {
@@ -111,17 +153,36 @@ impl RerunSink {
                 Err("no viewer answered; start one with `rerun`".to_owned())
             };
         }
-        let RerunTarget::Save(file) = &self.target else { return Ok(()) };
+        let Some(file) = &self.file else { return Ok(()) };
         flushed.map_err(|error| format!("{error}; is the disk full?"))?;
-        if ends_complete(file) { Ok(()) } else { Err("the file is cut off; is the disk full?".to_owned()) }
+        file.check_end()
+    }
+
+    /// Goes on in a new file where the one before is full or old.
+    fn rotate(&mut self, capture_nanos: i64) -> Result<(), String> {
+        if !self.file.as_mut().is_some_and(|file| file.is_over(capture_nanos)) {
+            return Ok(());
+        }
+        self.close()?;
+        let Some(file) = &mut self.file else { return Ok(()) };
+        self.stream = dressed(file.begin()?).map_err(|error| error.to_string())?;
+        self.scene = Scene::new(self.detail);
+        self.pace = PicturePace::of(self.detail);
+        self.graph.begin_anew();
+        self.similarities.begin_anew();
+        Ok(())
     }
 }
 
 impl RecognitionSink for RerunSink {
     fn record(&mut self, record: &FrameRecord) -> Result<(), TelemetryError> {
+        self.graph.learn(record);
         if self.live.as_ref().is_some_and(Live::is_behind) {
             self.frames_left_out += 1;
             return Ok(());
+        }
+        if self.stream.is_enabled() {
+            self.rotate(record.frame.capture_nanos).map_err(|reason| refusal(&self.target, &reason))?;
         }
         self.show(record).map_err(|error| refusal(&self.target, &error.to_string()))
     }
@@ -133,7 +194,7 @@ impl RecognitionSink for RerunSink {
         self.close().map_err(|reason| refusal(&self.target, &reason))
     }
 
-    fn shows_matched_keyframe(&self) -> bool {
+    fn looks_on(&self) -> bool {
         self.stream.is_enabled()
     }
 }
@@ -141,12 +202,19 @@ impl RecognitionSink for RerunSink {
 fn open(target: &RerunTarget) -> Result<(RecordingStream, Option<Live>), String> {
     let builder = RecordingStreamBuilder::new(APPLICATION);
     match target {
-        RerunTarget::Off => Ok((RecordingStream::disabled(), None)),
-        RerunTarget::Save(file) => Ok((create(builder, file)?, None)),
+        RerunTarget::Off | RerunTarget::Save(..) => Ok((RecordingStream::disabled(), None)),
         RerunTarget::Spawn => look_on(builder, live::spawn(VIEWER)?),
         RerunTarget::Connect(address) => look_on(builder, live::connect(address)?),
         RerunTarget::Serve(address) => look_on(builder, live::serve(*address)?),
     }
+}
+
+/// With what is shown all the time; times come from the frames alone.
+fn dressed(stream: RecordingStream) -> RecordingStreamResult<RecordingStream> {
+    stream.set_log_time_enabled(false);
+    stream.set_log_tick_enabled(false);
+    answer::dress(&stream)?;
+    Ok(stream)
 }
 
 fn look_on(
@@ -156,36 +224,6 @@ fn look_on(
     let stream = builder.buffered().map_err(|error| error.to_string())?;
     stream.set_sink(Box::new(relay));
     Ok((stream, Some(live)))
-}
-
-fn create(builder: RecordingStreamBuilder, file: &Path) -> Result<RecordingStream, String> {
-    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
-    match folder {
-        Some(folder) if !folder.is_dir() => {
-            return Err(format!("there is no folder {}; create it first", folder.display()));
-        }
-        _ if file.is_dir() => return Err("that is a folder; name a file in it".to_owned()),
-        _ => {}
-    }
-    builder.save(file).map_err(|error| match error {
-        RecordingStreamError::FileSink(FileSinkError::CreateFile { source, .. }) => {
-            format!("cannot write the file: {source}")
-        }
-        error => error.to_string(),
-    })
-}
-
-/// Whether the recording `file` ends as rerun ends them: with `RRF2`, `FOOT`, and where the footer is.
-fn ends_complete(file: &Path) -> bool {
-    const END_BYTES: usize = 64;
-    let end = || {
-        let mut file = File::open(file)?;
-        file.seek(SeekFrom::End(-(END_BYTES as i64)))?;
-        let mut end = [0; END_BYTES];
-        file.read_exact(&mut end)?;
-        Ok::<_, std::io::Error>(end)
-    };
-    end().is_ok_and(|end| end.windows(8).any(|bytes| bytes == b"RRF2FOOT"))
 }
 
 fn refusal(target: &RerunTarget, reason: &str) -> TelemetryError {

@@ -8,7 +8,8 @@ use ::rerun::{
     RecordingStream, RecordingStreamResult, Transform3D,
 };
 
-use super::{blueprint, jpeg, style};
+use super::{RerunDetail, blueprint, jpeg, style};
+use crate::codec;
 use crate::frame::Frame;
 use crate::geometry::Point;
 use crate::raster::{GreyImage, RgbImage};
@@ -22,14 +23,19 @@ const UNDER: f32 = -10.0;
 const OVER: f32 = 30.0;
 
 /// What of the pictures is on show already.
-#[derive(Default)]
 pub(super) struct Scene {
+    detail: RerunDetail,
     /// Width and height of the frames.
     size_px: Option<(usize, usize)>,
     shows_match: bool,
 }
 
 impl Scene {
+    /// A scene of which nothing is on show.
+    pub(super) fn new(detail: RerunDetail) -> Self {
+        Self { detail, size_px: None, shows_match: false }
+    }
+
     /// Shows the pictures of `record`.
     pub(super) fn show(
         &mut self,
@@ -38,9 +44,9 @@ impl Scene {
     ) -> RecordingStreamResult<()> {
         let frame = &*record.frame;
         self.outline(stream, frame)?;
-        match &frame.jpeg {
-            Some(bytes) => stream.log(style::CAMERA_IMAGE, &encoded(bytes))?,
-            None => stream.log(style::CAMERA_IMAGE, &raw(&frame.colour, &frame.grey))?,
+        self.show_camera(stream, frame)?;
+        if !self.detail.shows_evidence() {
+            return Ok(());
         }
         let keypoints = &record.look.features.keypoints;
         let places = keypoints.iter().map(|keypoint| xy(keypoint.point));
@@ -54,6 +60,28 @@ impl Scene {
             None if std::mem::take(&mut self.shows_match) => stream.log(style::MATCH, &Clear::recursive()),
             None => Ok(()),
         }
+    }
+
+    fn show_camera(&self, stream: &RecordingStream, frame: &Frame) -> RecordingStreamResult<()> {
+        let image = match (self.detail, &frame.jpeg) {
+            (RerunDetail::Lean, _) => return self.show_small(stream, frame),
+            (_, Some(bytes)) => encoded(bytes),
+            (RerunDetail::Normal, None) => encoded(&codec::jpeg(&frame.colour)),
+            (RerunDetail::Full, None) => {
+                return stream.log(style::CAMERA_IMAGE, &raw(&frame.colour, &frame.grey));
+            }
+        };
+        stream.log(style::CAMERA_IMAGE, &image)
+    }
+
+    /// The picture, small, in the place of the large one.
+    fn show_small(&self, stream: &RecordingStream, frame: &Frame) -> RecordingStreamResult<()> {
+        let small = codec::thumbnail_jpeg(&frame.colour);
+        let Some((width, height)) = jpeg::size_px(&small) else { return Ok(()) };
+        let (full_width, full_height) = (frame.colour.width() as f32, frame.colour.height() as f32);
+        let scale = [full_width / f32::from(width), full_height / f32::from(height), 1.0];
+        let enlarged = Transform3D::from_scale(scale);
+        stream.log(style::CAMERA_IMAGE, &[&enlarged as &dyn AsComponents, &encoded(&small)])
     }
 
     /// Sends the layout when the first frame tells its size, and outlines frame and keyframe for good.

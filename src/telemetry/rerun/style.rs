@@ -5,6 +5,7 @@
 
 use ::rerun::{Color, Rgba32};
 
+use crate::place_map::PlaceId;
 use crate::recognition::Decision;
 
 /// The frame as it came from the camera.
@@ -33,10 +34,33 @@ pub(super) const PLACE: &str = "recognition/place";
 pub(super) const CONFIDENCE: &str = "recognition/confidence";
 /// Effective inliers of verified matches.
 pub(super) const INLIERS: &str = "recognition/inliers";
+/// How like each keyframe each frame was, as a picture.
+pub(super) const SIMILARITY: &str = "recognition/similarity";
+/// Where the robot is believed to be.
+pub(super) const BELIEF: &str = "recognition/belief";
 /// The answer, in words.
 pub(super) const NOW: &str = "recognition/now";
 /// The answers so far, a line each.
 pub(super) const LOG: &str = "recognition/log";
+
+/// All that lies in the map's plane.
+pub(super) const MAP: &str = "map";
+/// The places.
+pub(super) const PLACES: &str = "map/places";
+/// From each place to the one that was founded after it.
+pub(super) const SUCCESSIONS: &str = "map/successions";
+/// Between places that follow each other otherwise: where the robot came back.
+pub(super) const REVISITS: &str = "map/revisits";
+/// The place that the robot is in.
+pub(super) const HERE: &str = "map/here";
+/// Where the robot is, where something tells.
+pub(super) const ROBOT: &str = "map/robot";
+/// Where the robot was, where something told.
+pub(super) const TRAJECTORY: &str = "map/trajectory";
+/// Places lie above the edges between them.
+pub(super) const PLACES_ORDER: f32 = 40.0;
+/// The robot's place has a ring around it.
+pub(super) const BELOW_PLACES: f32 = 39.0;
 
 /// Stages with the paths of their latencies and colours.
 pub(super) const LATENCIES: [(&str, &str, Color); 7] = [
@@ -55,7 +79,7 @@ pub(super) const FLOW: [(&str, &str, Color); 9] = [
     ("flow/waiting/cnn", "wait for the CNN", BLUE),
     ("flow/waiting/recognition", "wait for recognition", YELLOW),
     ("flow/waiting/sinks", "wait for a sink", PURPLE),
-    ("flow/unreadable", "unreadable", rgb(0xD55E00)),
+    ("flow/unreadable", "unreadable", VERMILION),
     ("flow/lost", "lost by the device", GREY),
     ("flow/dropped", "dropped", ORANGE),
     ("flow/spared", "spared for the budget", FAINT),
@@ -74,6 +98,7 @@ pub(super) const GREEN: Color = rgb(0x009E73);
 pub(super) const YELLOW: Color = rgb(0xF0E442);
 pub(super) const ORANGE: Color = rgb(0xE69F00);
 pub(super) const PURPLE: Color = rgb(0xCC79A7);
+pub(super) const VERMILION: Color = rgb(0xD55E00);
 
 /// All decisions.
 pub(super) const DECISIONS: [Decision; 5] =
@@ -99,6 +124,21 @@ pub(super) fn colour(decision: Decision) -> Color {
         Decision::NewPlace => ORANGE,
         Decision::Unknown => PURPLE,
     }
+}
+
+/// The colour of a place; few of them are to be told apart at a time.
+pub(super) fn place_colour(place: u16) -> Color {
+    [BLUE, GREEN, YELLOW, ORANGE, PURPLE, VERMILION, GREY][usize::from(place % 7)]
+}
+
+/// The class of a place, by which it has its colour; of those that there is no room for, the last one.
+pub(super) fn class(place: PlaceId) -> u16 {
+    u16::try_from(place.0).unwrap_or(u16::MAX)
+}
+
+/// Where the answers of frames with this decision lie in the picture of similarities.
+pub(super) fn similarity_path(decision: Decision) -> String {
+    format!("{SIMILARITY}/{}", decision.as_str())
 }
 
 /// Where the places of frames with this decision are plotted.

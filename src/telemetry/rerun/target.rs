@@ -1,16 +1,18 @@
 //! Where a recording goes, as it is written on the command line.
 //!
 //! ```text
-//! off | spawn | connect[=HOST[:PORT]] | serve[=IP[:PORT]] | save=FILE.rrd
+//! off | spawn | connect[=HOST[:PORT]] | serve[=IP[:PORT]] | save=FILE.rrd[?mib=N&minutes=N&files=N]
 //! ```
 //!
 //! Pure text: nothing here knows rerun.
 
 use std::fmt;
+use std::iter;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use super::rotation::Rotation;
 use crate::telemetry::TelemetryError;
 
 /// The port that rerun viewers listen on.
@@ -19,6 +21,7 @@ pub(super) const DEFAULT_PORT: u16 = 9876;
 pub(super) const LOCALHOST: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
 
 const ALLOWED: &str = "use off, spawn, connect[=HOST:PORT], serve[=IP:PORT] or save=FILE.rrd";
+const ROTATION: &str = "a new file begins by save=FILE.rrd?mib=500&minutes=60, and files=24 keeps so many";
 
 /// Where a recording goes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -31,8 +34,8 @@ pub enum RerunTarget {
     Connect(String),
     /// To whoever connects to this address while the stream runs.
     Serve(SocketAddr),
-    /// To a file, for later.
-    Save(PathBuf),
+    /// To a file, or one after the other, for later.
+    Save(PathBuf, Rotation),
 }
 
 impl FromStr for RerunTarget {
@@ -50,7 +53,7 @@ impl FromStr for RerunTarget {
             ("connect", Some(address)) => host_and_port(address).map(Self::Connect),
             ("serve", None) => Ok(Self::Serve(SocketAddr::new(LOCALHOST, DEFAULT_PORT))),
             ("serve", Some(address)) => ip_and_port(address).map(Self::Serve),
-            ("save", Some(file)) => rrd_file(file).map(Self::Save),
+            ("save", Some(file)) => recording(file),
             ("off" | "spawn", Some(_)) => Err(format!("'{kind}' takes no value; {ALLOWED}")),
             ("save", None) => Err("'save' needs a file, as in save=run.rrd".to_owned()),
             _ => Err(ALLOWED.to_owned()),
@@ -67,7 +70,16 @@ impl fmt::Display for RerunTarget {
             Self::Spawn => formatter.write_str("spawn"),
             Self::Connect(address) => write!(formatter, "connect={address}"),
             Self::Serve(address) => write!(formatter, "serve={address}"),
-            Self::Save(file) => write!(formatter, "save={}", file.display()),
+            Self::Save(file, rotation) => {
+                write!(formatter, "save={}", file.display())?;
+                let Rotation { mib, minutes, files } = rotation;
+                let given = [("mib", mib), ("minutes", minutes), ("files", files)];
+                let given = given.into_iter().filter_map(|(key, value)| Some((key, (*value)?)));
+                let separators = iter::once('?').chain(iter::repeat('&'));
+                given
+                    .zip(separators)
+                    .try_for_each(|((key, value), by)| write!(formatter, "{by}{key}={value}"))
+            }
         }
     }
 }
@@ -100,6 +112,31 @@ fn ip_and_port(address: &str) -> Result<SocketAddr, String> {
     }
 }
 
+/// `FILE.rrd` or `FILE.rrd?mib=N&minutes=N&files=N`.
+fn recording(text: &str) -> Result<RerunTarget, String> {
+    // A file may be called with a question mark, as long as nothing like a setting follows.
+    let (file, settings) = match text.rsplit_once(".rrd?") {
+        Some((stem, settings)) => (format!("{stem}.rrd"), settings),
+        None => (text.to_owned(), ""),
+    };
+    let mut rotation = Rotation::default();
+    for setting in settings.split('&').filter(|setting| !setting.is_empty()) {
+        let (key, value) = setting.split_once('=').unwrap_or((setting, ""));
+        let place = match key {
+            "mib" => &mut rotation.mib,
+            "minutes" => &mut rotation.minutes,
+            "files" => &mut rotation.files,
+            _ => return Err(format!("there is no setting '{}'; {ROTATION}", one_line(key))),
+        };
+        let wrong = |_| format!("'{}' is no number from 1 on; {ROTATION}", one_line(setting));
+        *place = Some(value.parse().map_err(wrong)?);
+    }
+    if rotation.files.is_some() && !rotation.happens() {
+        return Err("files=N needs mib=N or minutes=N, or there is only one".to_owned());
+    }
+    Ok(RerunTarget::Save(rrd_file(&file)?, rotation))
+}
+
 fn rrd_file(file: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(file);
     if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("rrd")) {
@@ -119,6 +156,8 @@ pub(super) fn one_line(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::num::NonZero;
+
     use super::*;
     use proptest::prelude::*;
 
@@ -146,12 +185,25 @@ mod tests {
         assert_eq!(parsed("serve"), serve("127.0.0.1:9876"));
         assert_eq!(parsed("serve=0.0.0.0"), serve("0.0.0.0:9876"));
         assert_eq!(parsed("serve=127.0.0.1:9000"), serve("127.0.0.1:9000"));
-        assert_eq!(parsed("save=a=b/run.rrd"), RerunTarget::Save("a=b/run.rrd".into()));
+        let save = |file: &str, rotation| RerunTarget::Save(file.into(), rotation);
+        assert_eq!(parsed("save=a=b/run.rrd"), save("a=b/run.rrd", Rotation::default()));
+        let [mib, minutes, files] = [500, 60, 24].map(NonZero::new);
+        assert_eq!(
+            parsed("save=why?/run.rrd?mib=500&files=24&minutes=60"),
+            save("why?/run.rrd", Rotation { mib, minutes, files })
+        );
     }
 
     #[test]
     fn a_target_is_written_as_it_is_read() {
-        for text in ["off", "spawn", "connect=laptop:9876", "serve=127.0.0.1:9876", "save=run.rrd"] {
+        for text in [
+            "off",
+            "spawn",
+            "connect=laptop:9876",
+            "serve=127.0.0.1:9876",
+            "save=run.rrd",
+            "save=run.rrd?minutes=60&files=2",
+        ] {
             assert_eq!(parsed(text).to_string(), text);
         }
     }
@@ -166,6 +218,14 @@ mod tests {
         assert!(refusal("save").contains("save=run.rrd"));
         assert!(refusal("save=").contains(".rrd"));
         assert!(refusal("save=run.mcap").contains(".rrd"));
+        assert!(refusal("save=run.rrd?mb=5").contains("there is no setting 'mb'; a new file begins"));
+        for value in ["0", "", "-1", "1.5", "99999999999"] {
+            assert!(
+                refusal(&format!("save=run.rrd?mib={value}")).contains("is no number from 1 on"),
+                "{value}"
+            );
+        }
+        assert!(refusal("save=run.rrd?files=3").contains("needs mib=N or minutes=N"));
         for text in [
             "connect=",
             "connect=:9876",

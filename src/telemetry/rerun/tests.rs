@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufReader;
 use std::net::TcpListener;
-use std::path::PathBuf;
+use std::num::NonZero;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -13,17 +14,23 @@ use ::rerun::log::{Chunk, LogMsg};
 
 use super::*;
 use crate::feature::{Features, Keypoint};
-use crate::frame::Frame;
+use crate::frame::{Frame, Pose};
 use crate::geometry::{OrientedPoint, Point};
 use crate::kernel::luma;
 use crate::place_map::{ExperienceId, PlaceId};
 use crate::raster::RgbImage;
-use crate::recognition::{Candidate, Candidates, Decision, Evidence, Grounds, Look, Recognition, Rejection};
+use crate::recognition::{
+    Candidate, Candidates, Decision, Evidence, Grounds, Insight, Look, PlaceSketch, Recognition, Rejection,
+};
 use crate::telemetry::{CnnStatus, Flow, Losses, MatchedKeyframe, StageLatency};
 use crate::verification::{Correspondence, Verification};
 
 /// The header of a JPEG of 64×48 pixels, which is all that the sink looks at.
 const JPEG: [u8; 13] = [0xFF, 0xD8, 0xFF, 0xC0, 0, 17, 8, 0, 48, 0, 64, 3, 1];
+
+/// Time of the first frame; from one to the next it is a tenth of a second.
+const FIRST_NANOS: i64 = 1_723_456_789_000_000_000;
+const TENTH_NANOS: i64 = 100_000_000;
 
 fn keypoint(x: f32, y: f32) -> Keypoint {
     Keypoint { point: Point { x, y }, scale: 1.0, angle_radians: 0.0, response: 30 }
@@ -33,7 +40,7 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
     let colour = RgbImage::new(64, 48);
     let frame = Frame {
         index,
-        capture_nanos: 1_723_456_789_000_000_000 + index as i64,
+        capture_nanos: FIRST_NANOS + index as i64 * TENTH_NANOS,
         name: format!("{index}.jpg"),
         grey: luma(&colour),
         colour,
@@ -75,6 +82,7 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
         look: Look { features, ..Look::default() },
         recognition,
         matched: None,
+        insight: None,
         cnn: CnnStatus::Available,
         model: None,
         latency: StageLatency { total_us: 2600, ..StageLatency::default() },
@@ -111,16 +119,28 @@ fn matched(index: u64) -> FrameRecord {
     record
 }
 
+/// A single file.
+fn save(file: impl Into<PathBuf>) -> RerunTarget {
+    RerunTarget::Save(file.into(), Rotation::default())
+}
+
 /// Records to a file and answers the chunks it holds, by entity path.
 fn recorded(records: &[FrameRecord]) -> BTreeMap<String, Vec<Chunk>> {
+    recorded_in(RerunDetail::Normal, records)
+}
+
+fn recorded_in(detail: RerunDetail, records: &[FrameRecord]) -> BTreeMap<String, Vec<Chunk>> {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("run.rrd");
-    let mut sink = RerunSink::open(&RerunTarget::Save(file.clone())).unwrap();
+    let mut sink = RerunSink::open(&save(file.clone()), detail).unwrap();
     for record in records {
         sink.record(record).unwrap();
     }
     sink.finish().unwrap();
-    assert!(ends_complete(&file));
+    chunks_of(&file)
+}
+
+fn chunks_of(file: &Path) -> BTreeMap<String, Vec<Chunk>> {
     let mut chunks: BTreeMap<String, Vec<Chunk>> = BTreeMap::new();
     for message in DecoderApp::decode_eager(BufReader::new(File::open(file).unwrap())).unwrap() {
         if let LogMsg::ArrowMsg(store, message) = message.unwrap()
@@ -183,7 +203,7 @@ fn frames_are_on_their_own_timelines_and_no_clock_of_ours_is() {
         (time.timeline().typ(), time.times_raw().to_vec())
     };
     let date = times(&chunks);
-    assert_eq!(date, (::rerun::time::TimeType::TimestampNs, vec![1_723_456_789_000_000_007]));
+    assert_eq!(date, (::rerun::time::TimeType::TimestampNs, vec![FIRST_NANOS + 7 * TENTH_NANOS]));
     let mut early = record(7, Decision::NewPlace);
     Arc::get_mut(&mut early.frame).unwrap().capture_nanos = 40_000_000;
     assert_eq!(times(&recorded(&[early])), (::rerun::time::TimeType::DurationNs, vec![40_000_000]));
@@ -265,11 +285,91 @@ fn names_from_outside_cannot_break_out_of_the_answer() {
     );
 }
 
+/// A record of a frame in `place`, with what its answer went by; the place is new.
+fn insightful(index: u64, place: u32) -> FrameRecord {
+    let neighbours = place.checked_sub(1).map(PlaceId).into_iter().collect();
+    let sketch = PlaceSketch { id: PlaceId(place), name: Some("dock".into()), experiences: 4, neighbours };
+    let insight = Insight {
+        similarities: vec![(ExperienceId(1), 0.25), (ExperienceId(index as u32 + 2), 1.0)],
+        belief: vec![(PlaceId(place), 0.75)],
+        elsewhere: 0.25,
+        places: vec![sketch],
+        is_whole_map: index == 0,
+    };
+    let mut record = record(index, Decision::NewPlace);
+    record.recognition.place = Some(PlaceId(place));
+    record.insight = Some(Box::new(insight));
+    record
+}
+
+#[test]
+fn map_belief_and_similarities_are_shown_and_places_have_their_colours_for_good() {
+    let chunks = recorded(&[insightful(0, 0), insightful(1, 1), insightful(2, 1)]);
+    assert_eq!(rows(&chunks, style::BELIEF), 3);
+    let bars = values(&chunks, style::BELIEF, "BarChart:abscissa");
+    assert!(bars.contains("-1") && bars.contains('1'), "{bars}");
+    assert_eq!(rows(&chunks, style::SIMILARITY), 3);
+    // The third frame brings neither a place nor an edge.
+    assert_eq!((rows(&chunks, style::PLACES), rows(&chunks, style::HERE)), (2, 3));
+    assert!(values(&chunks, style::PLACES, "Points2D:labels").contains("dock"));
+    let annotations = &chunks[&format!("/{}", style::MAP)];
+    assert!(annotations.iter().all(Chunk::is_static) && annotations.len() == 1);
+    assert!(!chunks.contains_key(&format!("/{}", style::TRAJECTORY)), "nothing tells where it is");
+}
+
+#[test]
+fn where_something_tells_the_position_the_way_is_drawn_and_places_lie_on_it() {
+    let posed = |index: u64, x: f64| {
+        let mut record = insightful(index, index as u32);
+        let pose = Pose { position_metres: [x, 5.0, 0.0], orientation: Pose::UPRIGHT };
+        Arc::get_mut(&mut record.frame).unwrap().pose = Some(pose);
+        record
+    };
+    let chunks = recorded(&[posed(0, 250.0), posed(1, 260.0)]);
+    assert_eq!((rows(&chunks, style::ROBOT), rows(&chunks, style::TRAJECTORY)), (2, 1));
+    let places = values(&chunks, style::PLACES, "Points2D:positions");
+    assert!(places.contains("250.0") && places.contains("-5.0"), "{places}");
+}
+
+#[test]
+fn lean_shows_answers_of_all_frames_and_a_small_picture_a_second() {
+    let records: Vec<FrameRecord> = (0..25).map(|index| insightful(index, 0)).collect();
+    let lean = recorded_in(RerunDetail::Lean, &records);
+    assert_eq!((rows(&lean, style::LOG), rows(&lean, style::BELIEF)), (25, 25));
+    assert_eq!(rows(&lean, style::CAMERA_IMAGE), 3);
+    assert_eq!((rows(&lean, style::KEYPOINTS), rows(&lean, style::SIMILARITY)), (0, 0));
+    let full = recorded_in(RerunDetail::Full, &records);
+    assert_eq!((rows(&full, style::CAMERA_IMAGE), rows(&full, style::KEYPOINTS)), (25, 25));
+}
+
+#[test]
+fn a_recording_goes_on_in_files_that_are_each_complete() {
+    let folder = tempfile::tempdir().unwrap();
+    let rotation = Rotation { minutes: NonZero::new(1), files: NonZero::new(2), ..Rotation::default() };
+    let target = RerunTarget::Save(folder.path().join("run.rrd"), rotation);
+    let mut sink = RerunSink::open(&target, RerunDetail::Normal).unwrap();
+    // Four minutes, with a frame every six seconds.
+    for index in (0..2400).step_by(60) {
+        sink.record(&insightful(index, index as u32 / 60)).unwrap();
+    }
+    sink.finish().unwrap();
+    let mut names: Vec<_> =
+        std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+    names.sort();
+    assert_eq!(names, ["run-000003.rrd", "run-000004.rrd"].map(|name| folder.path().join(name)));
+    let parts: Vec<_> = names.iter().map(|name| chunks_of(name)).collect();
+    for chunks in &parts {
+        assert_eq!((rows(chunks, style::LOG), rows(chunks, style::CAMERA_IMAGE)), (10, 10));
+        assert!(chunks[&format!("/{}", style::MAP)].iter().any(Chunk::is_static), "colours are there again");
+        assert!(rows(chunks, style::SIMILARITY) > 0 && rows(chunks, style::PLACES) > 0);
+    }
+}
+
 #[test]
 fn a_file_that_cannot_be_written_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let refusal = |file: PathBuf| {
-        let message = RerunSink::open(&RerunTarget::Save(file.clone())).err().unwrap().to_string();
+        let message = RerunSink::open(&save(file.clone()), RerunDetail::Normal).err().unwrap().to_string();
         assert!(message.starts_with(&format!("rerun save={}: ", file.display())), "{message}");
         assert!(!message.contains('\n'), "{message}");
         message
@@ -292,7 +392,7 @@ fn a_full_disk_is_reported_at_the_end() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("run.rrd");
     std::os::unix::fs::symlink(full, &file).unwrap();
-    let message = match RerunSink::open(&RerunTarget::Save(file)) {
+    let message = match RerunSink::open(&save(file), RerunDetail::Normal) {
         Err(error) => error.to_string(),
         Ok(mut sink) => {
             sink.record(&record(0, Decision::NewPlace)).unwrap();
@@ -304,13 +404,13 @@ fn a_full_disk_is_reported_at_the_end() {
 
 #[test]
 fn nothing_is_shown_when_rerun_is_off_or_over() {
-    let mut off = RerunSink::open(&RerunTarget::Off).unwrap();
-    assert!(!off.shows_matched_keyframe());
+    let mut off = RerunSink::open(&RerunTarget::Off, RerunDetail::Normal).unwrap();
+    assert!(!off.looks_on());
     off.record(&matched(0)).unwrap();
     off.finish().unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let mut over = RerunSink::open(&RerunTarget::Save(folder.path().join("run.rrd"))).unwrap();
-    assert!(over.shows_matched_keyframe());
+    let mut over = RerunSink::open(&save(folder.path().join("run.rrd")), RerunDetail::Normal).unwrap();
+    assert!(over.looks_on());
     over.finish().unwrap();
     over.record(&matched(0)).unwrap();
     over.finish().unwrap();
@@ -320,7 +420,7 @@ fn nothing_is_shown_when_rerun_is_off_or_over() {
 fn a_viewer_that_is_absent_holds_up_nobody_and_is_named_at_the_end() {
     // Free a moment ago; that somebody takes it just now is most unlikely.
     let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let mut sink = RerunSink::open(&RerunTarget::Connect(nobody.to_string())).unwrap();
+    let mut sink = RerunSink::open(&RerunTarget::Connect(nobody.to_string()), RerunDetail::Normal).unwrap();
     let started = Instant::now();
     for index in 0..500 {
         sink.record(&matched(index)).unwrap();
@@ -334,7 +434,9 @@ fn a_viewer_that_is_absent_holds_up_nobody_and_is_named_at_the_end() {
 #[test]
 fn a_viewer_that_answers_the_door_and_then_nothing_holds_up_nobody() {
     let mute = TcpListener::bind("127.0.0.1:0").unwrap();
-    let mut sink = RerunSink::open(&RerunTarget::Connect(mute.local_addr().unwrap().to_string())).unwrap();
+    let mut sink =
+        RerunSink::open(&RerunTarget::Connect(mute.local_addr().unwrap().to_string()), RerunDetail::Normal)
+            .unwrap();
     let started = Instant::now();
     for index in 0..500 {
         sink.record(&matched(index)).unwrap();
@@ -346,8 +448,8 @@ fn a_viewer_that_answers_the_door_and_then_nothing_holds_up_nobody() {
 #[test]
 fn what_is_served_or_sent_reaches_whoever_listens() {
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let mut server = RerunSink::open(&RerunTarget::Serve(free)).unwrap();
-    let mut client = RerunSink::open(&RerunTarget::Connect(free.to_string())).unwrap();
+    let mut server = RerunSink::open(&RerunTarget::Serve(free), RerunDetail::Normal).unwrap();
+    let mut client = RerunSink::open(&RerunTarget::Connect(free.to_string()), RerunDetail::Normal).unwrap();
     client.record(&matched(0)).unwrap();
     client.finish().unwrap();
     server.record(&matched(0)).unwrap();
