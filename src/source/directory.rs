@@ -90,10 +90,11 @@ impl DirectorySource {
     /// The image at this position, in the memory of `spare`.
     fn read(&self, index: usize, spare: Option<Frame>) -> Result<Frame, SourceError> {
         let path = &self.paths[index];
-        let bytes = read_image_file(path)?;
-        let FrameMemory { colour, grey, .. } = FrameMemory::of(spare);
+        let FrameMemory { mut name, colour, grey, jpeg } = FrameMemory::of(spare);
+        let bytes = read_image_file(path, jpeg)?;
         let colour = decode_in(&bytes, &path.display().to_string(), colour)?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        name.clear();
+        name.push_str(&path.file_name().unwrap_or_default().to_string_lossy());
         Ok(Frame {
             index: index as u64,
             capture_nanos: self.capture_nanos(index),
@@ -107,10 +108,10 @@ impl DirectorySource {
     }
 }
 
-/// The bytes of the image file at `path`, at most 64 MiB.
-fn read_image_file(path: &Path) -> Result<Vec<u8>, SourceError> {
+/// The bytes of the image file at `path`, at most 64 MiB, in memory that served before.
+fn read_image_file(path: &Path, mut bytes: Vec<u8>) -> Result<Vec<u8>, SourceError> {
     let error = |source| SourceError::Io { path: path.to_owned(), source };
-    let mut bytes = Vec::new();
+    bytes.clear();
     File::open(path).map_err(error)?.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes).map_err(error)?;
     if bytes.len() as u64 > MAX_FILE_BYTES {
         let reason = format!("the file is larger than {} MiB", MAX_FILE_BYTES >> 20);

@@ -51,11 +51,11 @@ impl PlaceGraph {
         if let Some(insight) = &record.insight {
             self.learn_places(insight);
         }
-        if let Some((place, pose)) = record.recognition.place.zip(record.frame.pose) {
-            if let Entry::Vacant(vacant) = self.seen_at.entry(place) {
-                vacant.insert(in_plane(&pose));
-                self.is_new = true;
-            }
+        if let Some((place, pose)) = record.recognition.place.zip(record.frame.pose)
+            && let Entry::Vacant(vacant) = self.seen_at.entry(place)
+        {
+            vacant.insert(in_plane(&pose));
+            self.is_new = true;
         }
     }
 
