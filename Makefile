@@ -6,10 +6,14 @@ FUZZ_SECONDS ?= 600
 FUZZ_TARGETS ?=
 # Cameras need libclang to build, so plain cargo leaves them out and every target here puts them in.
 FEATURES ?= v4l
+# Where pictures go, and what is seen on them; a synthetic street, if it is not said.
+PICTURES ?= docs
+SCENE ?=
 # What is run for ARM: all that computes in inner loops or reads mapped numbers.
 ARM_TESTS ?= kernel:: feature:: retrieval:: verification:: vocabulary:: storage:: kept_index:: cnn::preprocess
 
-.PHONY: help demo test test-train test-data test-arm test-large test-crash test-camera camera-machine soak benchmarks lint bench fuzz deps system-deps test-deps arm-deps camera-deps fuzz-deps
+.PHONY: help demo test test-train test-data test-arm test-large test-crash test-camera camera-machine soak \
+	screenshots benchmarks lint bench fuzz deps system-deps test-deps arm-deps picture-deps camera-deps fuzz-deps
 
 help: ## What can be made
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -48,6 +52,10 @@ camera-machine: camera-deps ## The virtual machine of test-camera: a Debian kern
 soak: ## A million frames, or LOCI_SOAK_FRAMES; memory must stay flat: a quarter of an hour
 	$(CARGO) test --release --no-default-features --test soak -- --ignored --nocapture
 
+screenshots: deps picture-deps ## Pictures of rerun's viewer, of the source SCENE, into the folder PICTURES
+	$(CARGO) build --release --features $(FEATURES)
+	LOCI=$${CARGO_TARGET_DIR:-target}/release/loci docs/screenshots.sh "$(PICTURES)" $(if $(SCENE),"$(SCENE)")
+
 benchmarks: deps ## Evaluate the suite on the data at LOCI_DATA and write BENCHMARKS.md
 	$(CARGO) run --release --features $(FEATURES) -- evaluate --suite
 
@@ -75,6 +83,9 @@ system-deps: ## Debian or Ubuntu packages that are missing
 arm-deps: ## Rust's library for 64-bit ARM, a linker, and the emulator
 	@deploy/install-packages.sh gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user-static
 	@rustup target add aarch64-unknown-linux-gnu
+
+picture-deps: ## What shows a viewer without a display; the viewer is rerun-sdk 0.36.3 from PyPI, or RERUN_VIEWER
+	@deploy/install-packages.sh xvfb xauth mesa-vulkan-drivers ffmpeg
 
 camera-deps: ## What the virtual machine is made of and runs in
 	@deploy/install-packages.sh qemu-system-x86 busybox-static cpio kmod xz-utils make gcc libc6-dev libelf-dev \

@@ -3,20 +3,39 @@
 #
 #     docs/screenshot.sh RECORDING.rrd PICTURE.png
 #
-# RERUN is the viewer (rerun-sdk 0.36.3 from PyPI has it). Packages: xvfb mesa-vulkan-drivers ffmpeg.
+# RERUN_VIEWER is the viewer (rerun-sdk 0.36.3 from PyPI has it). Packages: xvfb xauth mesa-vulkan-drivers ffmpeg.
 set -eu
 [ $# = 2 ] || { echo "usage: docs/screenshot.sh RECORDING.rrd PICTURE.png" >&2; exit 2; }
 recording=$1
 picture=$2
-icd=$(echo /usr/share/vulkan/icd.d/lvp_icd.*.json)
+[ -s "$recording" ] || { echo "screenshot: there is no recording $recording" >&2; exit 1; }
+set -- /usr/share/vulkan/icd.d/lvp_icd.*.json
+icd=$1
 [ -f "$icd" ] || { echo "screenshot: install mesa-vulkan-drivers: there is no $icd" >&2; exit 1; }
 
 rm -f "$picture"
-# The viewer draws in software, which takes seconds; one that hangs is ended. Its window has twice 1400×900 pixels. The
-# screen is more than twice as large, for the pointer in its middle would point at something.
-VK_ICD_FILENAMES=$icd timeout 120 xvfb-run --auto-servernum --server-args="-screen 0 6000x4000x24" \
-    "${RERUN:-rerun}" "$recording" --renderer vulkan --bind 127.0.0.1 --port 0 --window-size 1400x900 \
-    --screenshot-to "$picture.large.png" >/dev/null 2>&1 || true
+told=$(mktemp)
+busy=
+trap 'rm -f "$told" "$picture.large.png"; [ -z "$busy" ] || kill $busy' EXIT
+trap 'exit 130' INT
+trap 'exit 143' TERM HUP
+# What the viewer tells at its start is gone again after some seconds, and the picture is taken after ten frames:
+# these have to be slow. So it draws in one thread, on a core that others are busy on.
+core=$(taskset -cp $$ | sed 's/.*: //; s/[,-].*//')
+for _ in 1 2 3; do
+    timeout 150 taskset -c "$core" sh -c 'while :; do :; done' &
+    busy="$busy $!"
+done
+# One that hangs is ended. Its window has twice 1400×900 pixels. The screen is more than twice as large, for the
+# pointer in its middle would point at something.
+VK_ICD_FILENAMES=$icd LP_NUM_THREADS=0 timeout 120 taskset -c "$core" \
+    xvfb-run --auto-servernum --server-args="-screen 0 6000x4000x24" \
+    "${RERUN_VIEWER:-rerun}" "$recording" --renderer vulkan --bind 127.0.0.1 --port 0 --window-size 1400x900 \
+    --screenshot-to "$picture.large.png" >"$told" 2>&1 || true
 [ -s "$picture.large.png" ] || { echo "screenshot: the viewer took none of $recording" >&2; exit 1; }
+# What rerun says of the recording; of a container without a graphics card it says something, too.
+grep -E "(WARN|ERROR).*re_[a-z_]+::" "$told" | grep -viE "docker|rasterizer|analytics|wgpu validation" && {
+    echo "screenshot: the viewer does not like $recording" >&2
+    exit 1
+}
 ffmpeg -loglevel error -y -i "$picture.large.png" -vf scale=1400:900:flags=area -pix_fmt rgb24 "$picture"
-rm "$picture.large.png"

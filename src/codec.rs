@@ -1,4 +1,4 @@
-//! Images from bytes and back: JPEG and PNG, told apart by content, bounded before they are decoded.
+//! Images from bytes, JPEG and PNG, told apart by content and bounded before they are decoded; and JPEGs of images.
 
 use std::io::Cursor;
 

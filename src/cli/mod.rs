@@ -12,6 +12,7 @@ mod doctor;
 mod evaluate;
 mod explain;
 mod map;
+mod review;
 mod run;
 mod settings;
 mod size;
@@ -61,8 +62,8 @@ enum Command {
     Evaluate(Box<evaluate::EvaluateArguments>),
     /// Hand over experiences and fetch models (not built yet)
     Sync(Anything),
-    /// Review a map or a log in rerun (not built yet)
-    Review(Anything),
+    /// Look a map or the log of a run over in rerun, and what is odd about it
+    Review(review::ReviewArguments),
     /// Stage-by-stage timing on this computer (not built yet)
     Bench(Anything),
 }
@@ -118,7 +119,7 @@ pub(crate) fn run() -> anyhow::Result<Outcome> {
         #[cfg(feature = "evaluation")]
         Command::Evaluate(arguments) => evaluate::run(*arguments),
         Command::Sync(_) => not_built("sync"),
-        Command::Review(_) => not_built("review"),
+        Command::Review(arguments) => review::run(&arguments),
         Command::Bench(_) => not_built("bench"),
     }
 }

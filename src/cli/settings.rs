@@ -78,13 +78,14 @@ pub(super) struct StreamSettings {
     #[arg(long, env = "LOCI_GROW_VOCABULARY", num_args = 0..=1, require_equals = true,
           default_missing_value = "true", value_name = "BOOL")]
     pub(super) grow_vocabulary: Option<bool>,
-    /// Show it in rerun: off, spawn, connect=ADDR, serve[=ADDR] or save=FILE.rrd; given again, there, too
-    /// [env: LOCI_RERUN=, parted by ','] [default: off]
+    /// Show it in rerun: off, spawn, connect=ADDR, serve[=ADDR] or save=FILE.rrd; given again, there, too.
+    /// 'save=FILE.rrd?mib=500&minutes=60&files=24' goes on in new files and keeps the newest [env: LOCI_RERUN=, parted
+    /// by ','] [default: off]
     #[arg(long, value_name = "TARGET")]
     #[serde(deserialize_with = "one_or_several")]
     pub(super) rerun: Vec<String>,
-    /// How much is shown: lean (answers, map, curves, a small picture a second), normal (camera, matches and
-    /// similarities, too, ten frames a second at most), full (all of every frame) [default: normal]
+    /// How much is shown: lean (answers, map, curves, a small picture a second), normal (similarities, too, and camera
+    /// and matches of ten frames a second at most), full (all of every frame) [default: normal]
     #[arg(long, env = "LOCI_RERUN_DETAIL", value_name = "DETAIL")]
     pub(super) rerun_detail: Option<String>,
     /// Processor time that all of it may take: a share of one core such as 50%, or cores such as 1.5. Frames of a
@@ -103,8 +104,7 @@ impl StreamSettings {
             self.vocab = vocabularies_in(env::var_os("LOCI_VOCAB"));
         }
         if self.rerun.is_empty() {
-            let targets = env::var("LOCI_RERUN").unwrap_or_default();
-            self.rerun = targets.split(',').filter(|target| !target.is_empty()).map(str::to_owned).collect();
+            self.rerun = targets_in(env::var_os("LOCI_RERUN"))?;
         }
         let Some(path) = config else { return Ok(self) };
         let text = fs::read_to_string(path)
@@ -147,6 +147,13 @@ impl StreamSettings {
 fn vocabularies_in(variable: Option<OsString>) -> Vec<PathBuf> {
     let names = variable.iter().flat_map(env::split_paths);
     names.filter(|name| !name.as_os_str().is_empty()).collect()
+}
+
+/// The targets that a variable names.
+fn targets_in(variable: Option<OsString>) -> Result<Vec<String>, WrongArgument> {
+    let text = variable.unwrap_or_default().into_string();
+    let text = text.map_err(|_| WrongArgument("LOCI_RERUN is no text in UTF-8".to_owned()))?;
+    Ok(text.split(',').map(str::trim).filter(|target| !target.is_empty()).map(str::to_owned).collect())
 }
 
 /// A text, or a list of them.
@@ -192,6 +199,8 @@ mod tests {
 
     #[test]
     fn where_it_is_shown_may_be_one_or_a_list() {
+        assert_eq!(targets_in(Some("spawn, save=a.rrd,".into())).unwrap(), ["spawn", "save=a.rrd"]);
+        assert!(targets_in(None).unwrap().is_empty());
         let shown = |file: &str| completed(StreamSettings::default(), file).map(|settings| settings.rerun);
         assert_eq!(shown("rerun = 'spawn'").unwrap(), ["spawn"]);
         assert_eq!(shown("rerun = ['spawn', 'save=a.rrd']").unwrap(), ["spawn", "save=a.rrd"]);

@@ -58,7 +58,7 @@ pub(super) fn pipeline(
     if let Some(unwritable) = unwritable {
         recogniser.read_only_because(unwritable);
     }
-    // Last, so that a run that cannot start replaces no recording and opens no viewer.
+    // Last, so that a run that cannot start for anything else replaces no recording and opens no viewer.
     sinks.extend(viewers.open()?);
     let extractor = OrbExtractor::new(OrbOptions::default());
     let budget = settings.cpu_budget;

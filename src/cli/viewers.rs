@@ -27,8 +27,9 @@ mod shown {
             let mut targets: Vec<RerunTarget> = Vec::new();
             for text in &settings.rerun {
                 let target: RerunTarget = text.parse().map_err(wrong)?;
-                if targets.contains(&target) {
-                    return Err(WrongArgument(format!("rerun {target} is given twice")).into());
+                if let Some(other) = targets.iter().find(|other| other.clashes_with(&target)) {
+                    let reason = format!("rerun {other} and {target} are the same, or one shows the other");
+                    return Err(WrongArgument(reason).into());
                 }
                 targets.push(target);
             }

@@ -104,6 +104,7 @@ impl Decider<'_> {
         record.latency.total_us = before_us + micros(started);
         let mut failure = recogniser.take_map_failure();
         if let Some(onlooker) = onlooker {
+            onlooker.make_up_for(delivery.missed, recogniser);
             failure = failure.or(onlooker.show(recogniser, &mut record).err());
         }
         record.latency.answer_us = micros(captured_at);

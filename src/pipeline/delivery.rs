@@ -88,6 +88,7 @@ impl Delivery {
     pub(super) fn finish(mut self, watcher: &dyn Watcher) -> Result<u64, PipelineError> {
         let deadline = Instant::now() + CLOSING;
         let ends: Vec<_> = self.sinks.into_iter().map(Outlet::close).collect();
+        let mut first_failure = Ok(());
         for (ended, thread) in ends {
             if self.is_live {
                 // One that hangs is left to the end of the program.
@@ -98,8 +99,11 @@ impl Delivery {
                 }
                 continue;
             }
-            joined(&ended, thread).or_else(TelemetryError::unless_reader_gone)?;
+            // All have their time, whichever of them failed.
+            let end = joined(&ended, thread).or_else(TelemetryError::unless_reader_gone);
+            first_failure = first_failure.and(end);
         }
+        first_failure?;
         Ok(self.failed)
     }
 }

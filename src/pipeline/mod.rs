@@ -112,7 +112,9 @@ impl Pipeline {
             Durability::Interval(interval) => Some((recogniser.map().syncer(), interval)),
             Durability::Every | Durability::None => None,
         };
-        let onlooker = sinks.iter().any(|sink| sink.looks_on()).then(Onlooker::default);
+        let shows_matched = sinks.iter().any(|sink| sink.shows_matched_keyframe());
+        let is_looked_on = shows_matched || sinks.iter().any(|sink| sink.looks_on());
+        let onlooker = is_looked_on.then(|| Onlooker::new(shows_matched));
         let delivery = Delivery::start(sinks, source.is_live())?;
         let ((spare_looks, looks), (spare_descriptors, descriptors)) = (bounded(SPARE), bounded(SPARE));
         thread::scope(|scope| {

@@ -73,9 +73,34 @@ impl AppearanceIndex {
         self.entries.len() * (values + size_of::<Entry>() + POSITION_BYTES)
     }
 
+    /// The place that `keyframe` is more like than any other keyframe of its own, if there is one among those that are
+    /// `elsewhere`.
+    pub(super) fn astray(
+        &self,
+        keyframe: ExperienceId,
+        is_elsewhere: impl Fn(PlaceId) -> bool,
+    ) -> Option<PlaceId> {
+        let asked = &self.entries[*self.positions.get(&keyframe)? as usize];
+        let (mut own, mut best) = (f32::MIN, None);
+        for entry in self.entries.iter().filter(|entry| entry.keyframe != keyframe) {
+            let score = asked.descriptor.cosine(&entry.descriptor);
+            if entry.place == asked.place {
+                own = own.max(score);
+            } else if best.is_none_or(|(_, most)| score > most) && is_elsewhere(entry.place) {
+                best = Some((entry.place, score));
+            }
+        }
+        best.filter(|(_, score)| *score > own).map(|(place, _)| place)
+    }
+
     /// From now on it is kept how like every keyframe is what is asked for.
     pub(super) fn keep_similarities(&mut self) {
         self.similarities.get_or_insert_default();
+    }
+
+    /// Whether that is kept.
+    pub(super) fn keeps_similarities(&self) -> bool {
+        self.similarities.is_some()
     }
 
     /// How like every keyframe is what was asked for last, to be taken away; empty where that is not kept.

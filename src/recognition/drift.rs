@@ -133,33 +133,12 @@ fn has_drifted(parts: &[Vec<ExperienceId>]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::super::RecognitionOptions;
-    use super::super::world_for_tests::{Robot, appearance, card, features, in_memory, no_interval};
+    use super::super::world_for_tests::{Robot, card, in_memory, learn, new, no_interval, place_of};
     use super::*;
     use crate::frame::Frame;
-    use crate::place_map::{Appearance, NewExperience, PlaceMap, Traits};
+    use crate::place_map::{NewExperience, PlaceMap};
 
     static GO_ON: AtomicBool = AtomicBool::new(false);
-
-    /// A place whose keyframes show the features of one place and the looks of another each.
-    fn place_of(map: &mut PlaceMap, keyframes: &[(u64, usize)]) -> PlaceId {
-        let mut place = None;
-        for (index, &(of, look)) in (0..).zip(keyframes) {
-            place = Some(learn(map, place, (index, of, look)));
-        }
-        place.unwrap()
-    }
-
-    fn learn(map: &mut PlaceMap, place: Option<PlaceId>, (index, of, look): (u64, u64, usize)) -> PlaceId {
-        let descriptor = (&appearance(look)).into();
-        let appearance = Some(Appearance { model: card().sha256, descriptor });
-        let traits = Traits { words: Vec::new(), appearance };
-        let keyframe = Some((&features(of), &traits));
-        map.learn(place, &NewExperience { keyframe, ..new(&Frame::numbered(index)) }).unwrap().place
-    }
-
-    fn new(frame: &Frame) -> NewExperience<'_> {
-        NewExperience { frame, view: 0, mean_luminance: 120.0, thumbnail_jpeg: &[], keyframe: None }
-    }
 
     fn drifted(map: PlaceMap, options: RecognitionOptions) -> Vec<Drift> {
         Robot::new(Some(card()), options, map).recogniser.drifted(&GO_ON).unwrap()

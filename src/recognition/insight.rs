@@ -4,22 +4,23 @@
 use std::mem;
 use std::sync::Arc;
 
-use super::Recognition;
+use super::belief::neighbours;
 use super::candidate::Evidence;
 use super::recogniser::Recogniser;
-use crate::place_map::{ExperienceId, Place, PlaceId};
+use super::{Decision, Recognition};
+use crate::place_map::{ExperienceId, MapError, Place, PlaceId, PlaceMap};
 
 /// What an answer went by.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Insight {
-    /// How like the frame keyframes are, by the cosine of the CNN's descriptors; of all that are searched, unless they
-    /// are more than 65,536. Where no CNN takes part, by the L1 score of the words, of those that share most of them.
+    /// How like the frame keyframes are, by the cosine of the CNN's descriptors: of all that are searched, or of none
+    /// where they are more than 65,536. Where no CNN takes part, by the L1 score of the words, of a few.
     pub similarities: Vec<(ExperienceId, f32)>,
     /// Probability of each place that stands out, in the order of the places.
     pub belief: Vec<(PlaceId, f32)>,
     /// Probability to be in none of these.
     pub elsewhere: f32,
-    /// Places that are new or changed.
+    /// Places that are new, or have another experience.
     pub places: Vec<PlaceSketch>,
     /// Whether those are all places that there are, others being none any more.
     pub is_whole_map: bool,
@@ -38,15 +39,34 @@ pub struct PlaceSketch {
     pub neighbours: Vec<PlaceId>,
 }
 
-impl From<&Place> for PlaceSketch {
-    fn from(place: &Place) -> Self {
-        let Place { id, name, experiences, neighbours, .. } = place;
-        Self { id: *id, name: name.clone(), experiences: experiences.len(), neighbours: neighbours.clone() }
+/// The keyframe that a frame was matched with, as a picture.
+#[derive(Clone, Debug)]
+pub struct MatchedKeyframe {
+    /// Which.
+    pub experience: ExperienceId,
+    /// Name of the frame it was.
+    pub frame_name: String,
+    /// Width of that frame in pixels; the thumbnail is smaller.
+    pub width_px: u32,
+    /// Height of that frame in pixels.
+    pub height_px: u32,
+    /// Its thumbnail.
+    pub thumbnail_jpeg: Vec<u8>,
+}
+
+impl PlaceSketch {
+    /// The sketch of `place`; places that were merged are those that they turned out to be.
+    #[must_use]
+    pub fn of(place: &Place, map: &PlaceMap) -> Self {
+        let Place { id, name, experiences, .. } = place;
+        let neighbours = neighbours(map, *id).into_iter().collect();
+        Self { id: *id, name: name.clone(), experiences: experiences.len(), neighbours }
     }
 }
 
 impl Recogniser {
-    /// From the next frame on, somebody looks on: what [`tell`](Self::tell) tells is kept until then.
+    /// From the next frame on, somebody looks on: what [`tell`](Self::tell) tells is kept until then, and it begins
+    /// with the whole map.
     pub fn keep_insight(&mut self) {
         self.appearances.keep_similarities();
         self.is_map_untold = true;
@@ -59,7 +79,8 @@ impl Recogniser {
         if let Some(kept) = self.appearances.similarities() {
             mem::swap(similarities, kept);
         }
-        if similarities.is_empty() {
+        // Two scales do not go together: a CNN that failed on a frame leaves a gap.
+        if self.model.is_none() {
             let by_words = answer.candidates.iter().filter(|candidate| candidate.by == Evidence::BowHv);
             similarities.extend(by_words.map(|candidate| (candidate.keyframe, candidate.score)));
         }
@@ -70,18 +91,35 @@ impl Recogniser {
         *is_whole_map = mem::take(&mut self.is_map_untold);
         if *is_whole_map {
             let living = self.map.places().filter(|place| place.merged_into.is_none());
-            places.extend(living.map(PlaceSketch::from));
+            places.extend(living.map(|place| PlaceSketch::of(place, &self.map)));
         } else if answer.experience.is_some() {
             let place = answer.place.and_then(|place| self.map.place(place));
-            places.extend(place.map(PlaceSketch::from));
+            places.extend(place.map(|place| PlaceSketch::of(place, &self.map)));
         }
+    }
+
+    /// The keyframe that an answer went by, as a picture; nothing if it was given up since.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn matched_keyframe(&self, answer: &Recognition) -> Result<Option<MatchedKeyframe>, MapError> {
+        let is_match = matches!(answer.decision, Decision::Recognised | Decision::Revisited);
+        let keyframe = answer.keyframe.filter(|&id| is_match && self.map.experience(id).is_some());
+        let Some(experience) = keyframe else { return Ok(None) };
+        let features = self.map.features(experience)?;
+        Ok(Some(MatchedKeyframe {
+            experience,
+            frame_name: self.map.origin(experience)?.frame_name,
+            width_px: features.width_px,
+            height_px: features.height_px,
+            thumbnail_jpeg: self.map.thumbnail_jpeg(experience)?,
+        }))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::world_for_tests::{Robot, in_memory, no_interval};
-    use super::super::{Decision, RecognitionOptions};
     use super::*;
 
     fn told(robot: &mut Robot, answer: &Recognition) -> Insight {
@@ -128,9 +166,20 @@ mod tests {
         let mut robot = Robot::with_cnn();
         robot.see(0, 0);
         let answer = robot.see(1, 1);
+        assert!(!answer.candidates.is_empty());
         let insight = told(&mut robot, &answer);
-        assert!(insight.similarities.iter().all(|(_, score)| *score < 0.5), "{insight:?}");
-        assert!(!insight.is_whole_map);
+        assert!(insight.similarities.is_empty() && !insight.is_whole_map, "{insight:?}");
+    }
+
+    #[test]
+    fn a_place_lies_next_to_what_its_neighbour_turned_out_to_be() {
+        let mut map = in_memory();
+        let mut robot = Robot::new(None, no_interval(), map);
+        (0..4).for_each(|place| drop(robot.see(place, 0)));
+        map = robot.recogniser.into_map();
+        map.merge_places(PlaceId(2), PlaceId(0)).unwrap();
+        let sketch = PlaceSketch::of(map.place(PlaceId(3)).unwrap(), &map);
+        assert_eq!(sketch.neighbours, [PlaceId(0)]);
     }
 
     #[test]
@@ -147,7 +196,7 @@ mod tests {
 
     #[test]
     fn what_is_believed_sums_up_to_one() {
-        let mut robot = Robot::new(None, RecognitionOptions { ..no_interval() }, in_memory());
+        let mut robot = Robot::new(None, no_interval(), in_memory());
         robot.recogniser.keep_insight();
         for place in [0, 1, 2, 1, 0] {
             let answer = robot.see(place, place as usize);

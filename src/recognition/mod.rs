@@ -24,6 +24,7 @@ mod keyframe_index;
 mod learning;
 mod look;
 mod options;
+mod purity;
 mod recogniser;
 mod renewal;
 #[cfg(test)]
@@ -38,10 +39,11 @@ pub use candidate::{Candidate, Candidates, Evidence, MAX_CANDIDATES, Rejection, 
 pub use drift::Drift;
 pub use fusion::Clues;
 pub use grounds::{Grounds, PlaceGrounds, Thresholds};
-pub use insight::{Insight, PlaceSketch};
+pub use insight::{Insight, MatchedKeyframe, PlaceSketch};
 pub use joining::{Join, Support};
 pub use look::Look;
 pub use options::RecognitionOptions;
+pub use purity::Purity;
 pub use recogniser::Recogniser;
 pub use renewal::{Exhibit, Walk};
 

@@ -204,6 +204,9 @@ impl Recogniser {
             _ => index.len(),
         };
         let index_before = std::mem::replace(&mut self.appearances, index);
+        if index_before.keeps_similarities() {
+            self.appearances.keep_similarities();
+        }
         let model_before = self.model.replace(card.clone());
         self.renewals.before = model_before.filter(|_| !goes_back).map(|model| (model, index_before));
         Some(known)

@@ -12,7 +12,7 @@ use crate::cnn;
 use crate::feature::{Descriptor, Features, Keypoint};
 use crate::frame::Frame;
 use crate::geometry::Point;
-use crate::place_map::{MapOptions, PlaceMap};
+use crate::place_map::{Appearance, MapOptions, NewExperience, PlaceId, PlaceMap, Traits};
 use crate::vocabulary::{LightSwitch, MemoryCorpus, TrainingOptions, VocabularySet, train, train_on};
 
 pub(super) const DIMENSIONS: usize = 16;
@@ -26,6 +26,31 @@ pub(super) fn in_memory() -> PlaceMap {
 
 pub(super) fn opened(folder: &Path) -> PlaceMap {
     PlaceMap::open(folder, MapOptions::default()).unwrap()
+}
+
+/// Adds a place whose keyframes show the features of one place and the looks of another each.
+pub(super) fn place_of(map: &mut PlaceMap, keyframes: &[(u64, usize)]) -> PlaceId {
+    let mut place = None;
+    for (index, &(of, look)) in (0..).zip(keyframes) {
+        place = Some(learn(map, place, (index, of, look)));
+    }
+    place.unwrap()
+}
+
+pub(super) fn learn(
+    map: &mut PlaceMap,
+    place: Option<PlaceId>,
+    (index, of, look): (u64, u64, usize),
+) -> PlaceId {
+    let descriptor = (&appearance(look)).into();
+    let appearance = Some(Appearance { model: card().sha256, descriptor });
+    let traits = Traits { words: Vec::new(), appearance };
+    let keyframe = Some((&features(of), &traits));
+    map.learn(place, &NewExperience { keyframe, ..new(&Frame::numbered(index)) }).unwrap().place
+}
+
+pub(super) fn new(frame: &Frame) -> NewExperience<'_> {
+    NewExperience { frame, view: 0, mean_luminance: 120.0, thumbnail_jpeg: &[], keyframe: None }
 }
 
 /// The features that are seen at a made-up place.

@@ -1,11 +1,9 @@
-//! One JSON object a processed frame, one line each.
+//! Records as JSON Lines: one object a processed frame, one line each.
 
 use std::io::Write;
 
-use serde::Serialize;
-
-use super::{CnnStatus, Flow, FrameRecord, Losses, RecognitionSink, StageLatency, TelemetryError, Waiting};
-use crate::recognition::{Candidate, Evidence};
+use super::log_line::LogLine;
+use super::{FrameRecord, RecognitionSink, TelemetryError};
 
 /// Writes records as JSON Lines and flushes each, so that a reader is never behind.
 pub struct JsonLines<W> {
@@ -21,7 +19,7 @@ impl<W: Write + Send> JsonLines<W> {
 
 impl<W: Write + Send> RecognitionSink for JsonLines<W> {
     fn record(&mut self, record: &FrameRecord) -> Result<(), TelemetryError> {
-        let mut line = serde_json::to_vec(&Line::from(record)).map_err(std::io::Error::from)?;
+        let mut line = serde_json::to_vec(&LogLine::from(record)).map_err(std::io::Error::from)?;
         line.push(b'\n');
         self.output.write_all(&line)?;
         Ok(self.output.flush()?)
@@ -32,142 +30,6 @@ impl<W: Write + Send> RecognitionSink for JsonLines<W> {
     }
 }
 
-#[derive(Serialize)]
-struct Line<'a> {
-    frame: u64,
-    capture_nanos: i64,
-    decision: &'static str,
-    by: Option<&'static str>,
-    place: Option<u32>,
-    name: Option<&'a str>,
-    keyframe: Option<u32>,
-    experience: Option<u32>,
-    confidence: f64,
-    inliers: Option<u32>,
-    candidates: Vec<CandidateLine>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    cnn: Option<&'static str>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    model: Option<&'a str>,
-    latency_us: LatencyLine,
-    flow: FlowLine,
-}
-
-#[derive(Serialize)]
-struct CandidateLine {
-    place: u32,
-    by: &'static str,
-    score: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    inliers: Option<u32>,
-    probability: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    rejected: Option<String>,
-}
-
-#[derive(Serialize)]
-struct LatencyLine {
-    decode: u64,
-    features: u64,
-    cnn: u64,
-    retrieval: u64,
-    verification: u64,
-    total: u64,
-    answer: u64,
-}
-
-#[derive(Serialize)]
-struct FlowLine {
-    unreadable: u64,
-    lost: u64,
-    dropped: u64,
-    spared: u64,
-    missed: u64,
-    waiting: WaitingLine,
-}
-
-#[derive(Serialize)]
-struct WaitingLine {
-    features: usize,
-    cnn: usize,
-    recognition: usize,
-    sinks: usize,
-}
-
-impl<'a> From<&'a FrameRecord> for Line<'a> {
-    fn from(record: &'a FrameRecord) -> Self {
-        let recognition = &record.recognition;
-        Self {
-            frame: record.frame.index,
-            capture_nanos: record.frame.capture_nanos,
-            decision: recognition.decision.as_str(),
-            by: recognition.by.map(Evidence::as_str),
-            place: recognition.place.map(|place| place.0),
-            name: recognition.name.as_deref(),
-            keyframe: recognition.keyframe.map(|keyframe| keyframe.0),
-            experience: recognition.experience.map(|experience| experience.0),
-            confidence: rounded(recognition.confidence),
-            inliers: recognition.inliers,
-            candidates: recognition.candidates.iter().map(CandidateLine::from).collect(),
-            cnn: match record.cnn {
-                CnnStatus::Available => None,
-                CnnStatus::Unavailable => Some("unavailable"),
-                CnnStatus::Failed => Some("failed"),
-            },
-            model: record.model.as_deref(),
-            latency_us: LatencyLine::from(record.latency),
-            flow: FlowLine::from(record.flow),
-        }
-    }
-}
-
-impl From<&Candidate> for CandidateLine {
-    fn from(candidate: &Candidate) -> Self {
-        Self {
-            place: candidate.place.0,
-            by: candidate.by.as_str(),
-            score: rounded(candidate.score),
-            inliers: candidate.inliers,
-            probability: rounded(candidate.probability),
-            rejected: candidate.rejected.map(|rejection| rejection.to_string()),
-        }
-    }
-}
-
-impl From<StageLatency> for LatencyLine {
-    fn from(latency: StageLatency) -> Self {
-        Self {
-            decode: latency.decode_us,
-            features: latency.features_us,
-            cnn: latency.cnn_us,
-            retrieval: latency.retrieval_us,
-            verification: latency.verification_us,
-            total: latency.total_us,
-            answer: latency.answer_us,
-        }
-    }
-}
-
-impl From<Flow> for FlowLine {
-    fn from(flow: Flow) -> Self {
-        let Losses { unreadable, lost, dropped, spared } = flow.losses;
-        let Waiting { features, cnn, recognition, sinks } = flow.waiting;
-        Self {
-            unreadable,
-            lost,
-            dropped,
-            spared,
-            missed: flow.missed_records,
-            waiting: WaitingLine { features, cnn, recognition, sinks },
-        }
-    }
-}
-
-/// Four decimals are all that means anything.
-fn rounded(value: f32) -> f64 {
-    (f64::from(value) * 1e4).round() / 1e4
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -176,7 +38,10 @@ mod tests {
     use crate::frame::Frame;
     use crate::place_map::{ExperienceId, PlaceId};
     use crate::raster::{GreyImage, RgbImage};
-    use crate::recognition::{Candidates, Decision, Grounds, Look, Recognition, Rejection};
+    use crate::recognition::{
+        Candidate, Candidates, Decision, Evidence, Grounds, Look, Recognition, Rejection,
+    };
+    use crate::telemetry::{CnnStatus, Flow, Losses, StageLatency, Waiting};
 
     fn record() -> FrameRecord {
         let frame = Frame {

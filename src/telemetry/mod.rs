@@ -1,19 +1,22 @@
 //! Where recognitions go: JSON Lines for machines, rerun for people.
 
 mod json_lines;
+mod log_line;
 #[cfg(feature = "rerun")]
 mod rerun;
 
 pub use json_lines::JsonLines;
 #[cfg(feature = "rerun")]
-pub use rerun::{RerunDetail, RerunSink, RerunTarget, Rotation};
+pub use rerun::{
+    Finding, RerunDetail, RerunSink, RerunTarget, ReviewError, Reviewed, ReviewedRun, Rotation, open_viewer,
+    review_map, review_run,
+};
 
 use std::io;
 use std::sync::Arc;
 
 use crate::frame::Frame;
-use crate::place_map::ExperienceId;
-use crate::recognition::{Insight, Look, Recognition};
+use crate::recognition::{Insight, Look, MatchedKeyframe, Recognition};
 
 /// Everything that is known about a processed frame.
 #[derive(Clone, Debug)]
@@ -38,21 +41,6 @@ pub struct FrameRecord {
     pub flow: Flow,
 }
 
-/// The keyframe that a frame was matched with, as a picture.
-#[derive(Clone, Debug)]
-pub struct MatchedKeyframe {
-    /// Which.
-    pub experience: ExperienceId,
-    /// Name of the frame it was.
-    pub frame_name: String,
-    /// Width of that frame in pixels; the thumbnail is smaller.
-    pub width_px: u32,
-    /// Height of that frame in pixels.
-    pub height_px: u32,
-    /// Its thumbnail.
-    pub thumbnail_jpeg: Vec<u8>,
-}
-
 /// Whether the CNN took part in a decision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CnnStatus {
@@ -62,6 +50,18 @@ pub enum CnnStatus {
     Unavailable,
     /// It failed on this frame.
     Failed,
+}
+
+impl CnnStatus {
+    /// The word for it in records; none where all is well.
+    #[must_use]
+    pub fn as_str(self) -> Option<&'static str> {
+        match self {
+            Self::Available => None,
+            Self::Unavailable => Some("unavailable"),
+            Self::Failed => Some("failed"),
+        }
+    }
 }
 
 /// How long each stage took for one frame, in microseconds.
@@ -137,9 +137,13 @@ pub trait RecognitionSink: Send {
     /// If that fails.
     fn finish(&mut self) -> Result<(), TelemetryError>;
 
-    /// Whether the sink looks on: it shows the matched keyframe, which costs a read from the map, and what answers go
-    /// by.
+    /// Whether the sink looks on: it shows what answers go by.
     fn looks_on(&self) -> bool {
+        false
+    }
+
+    /// Whether it shows the matched keyframe, too, which costs a read from the map.
+    fn shows_matched_keyframe(&self) -> bool {
         false
     }
 }

@@ -11,6 +11,8 @@ mod misfortune;
 mod model_swap;
 mod program;
 mod real_sequences;
+#[cfg(feature = "rerun")]
+mod review;
 mod stream;
 #[cfg(feature = "train")]
 mod train;

@@ -96,6 +96,8 @@ def play(arguments, viewer):
 
         def harm(seconds):
             if ills and seconds > ills[0][0]:
+                if looking.poll() is not None:
+                    sys.exit(f"the viewer ended by itself ({looking.returncode})")
                 os.killpg(looking.pid, ills.pop(0)[1])
 
         try:

@@ -93,6 +93,19 @@ pub(super) fn run(arguments: &DriftArguments) -> anyhow::Result<Outcome> {
     }))
 }
 
+/// For example `falls into 2 parts: experiences 3, 5; 9`.
+#[cfg(feature = "rerun")]
+pub(in crate::cli) fn parts_in_words(drift: &Drift) -> String {
+    let numbers = |part: &Vec<ExperienceId>| part.iter().map(|id| id.0).collect();
+    in_words(&drift.parts.iter().map(numbers).collect::<Vec<_>>())
+}
+
+fn in_words(parts: &[Vec<u32>]) -> String {
+    let count = parts.len();
+    let parts: Vec<String> = parts.iter().map(|part| listed(part)).collect();
+    format!("falls into {count} parts: experiences {}", parts.join("; "))
+}
+
 impl DriftedPlace {
     fn new(map: &PlaceMap, drift: Drift) -> Self {
         let numbers = |part: Vec<ExperienceId>| part.into_iter().map(|id| id.0).collect();
@@ -102,9 +115,7 @@ impl DriftedPlace {
 
     fn sentence(&self) -> String {
         let name = self.name.as_ref().map_or(String::new(), |name| format!(" ({name})"));
-        let parts: Vec<String> = self.parts.iter().map(|part| listed(part)).collect();
-        let parts = parts.join("; ");
-        format!("place {}{name} falls into {} parts: experiences {parts}", self.place, self.parts.len())
+        format!("place {}{name} {}", self.place, in_words(&self.parts))
     }
 }
 

@@ -13,21 +13,21 @@ use crate::cli::settings::StreamSettings;
 use crate::cli::{assets, stream};
 
 /// The vocabularies and, unless geometry decides alone, the card of the CNN.
-pub(super) struct Eyes {
+pub(in crate::cli) struct Eyes {
     vocabularies: Arc<VocabularySet>,
     card: Option<ModelCard>,
 }
 
 impl Eyes {
     /// Those that `settings` name, or those that ship.
-    pub(super) fn new(settings: &StreamSettings) -> anyhow::Result<Self> {
+    pub(in crate::cli) fn new(settings: &StreamSettings) -> anyhow::Result<Self> {
         let vocabularies = Arc::new(VocabularySet::open(&assets::find_vocabularies(&settings.vocab)?)?);
         let card = if settings.is_without_cnn() { None } else { card(settings.model.as_deref())? };
         Ok(Self { vocabularies, card })
     }
 
     /// What recognises in the map in `folder`.
-    pub(super) fn open(&self, folder: &Path) -> anyhow::Result<Recogniser> {
+    pub(in crate::cli) fn open(&self, folder: &Path) -> anyhow::Result<Recogniser> {
         let options =
             RecognitionOptions { read_only: true, memory_bytes: usize::MAX, ..RecognitionOptions::default() };
         let map = PlaceMap::open_read_only(folder)?;
@@ -35,7 +35,7 @@ impl Eyes {
     }
 
     /// Says how many keyframes have descriptors of another CNN, which count for nothing.
-    pub(super) fn report_foreign(&self, opened: &[&Recogniser]) {
+    pub(in crate::cli) fn report_foreign(&self, opened: &[&Recogniser]) {
         let foreign = opened.iter().map(|recogniser| recogniser.foreign_descriptors()).sum();
         stream::report_foreign_descriptors(foreign, self.card.as_ref(), "");
     }

@@ -9,6 +9,11 @@ mod merge;
 mod rename;
 mod verify;
 
+#[cfg(feature = "rerun")]
+pub(super) use drift::parts_in_words;
+#[cfg(feature = "rerun")]
+pub(super) use eyes::Eyes;
+
 use std::path::{Component, Path, PathBuf};
 
 use clap::Subcommand;

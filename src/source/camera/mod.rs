@@ -164,12 +164,13 @@ impl<D: Driver> CameraSource<D> {
             }
             let (bytes, metadata) = camera.stream.next(Instant::now() + patience).map_err(Fault::Stream)?;
             let arrived = Clocks::now();
-            self.welcome(&mut camera.greeting);
             let index = self.sampling.index(metadata.sequence);
             let capture_nanos = self.clock.capture_nanos(timing::stamp_nanos(&metadata), arrived);
             if self.sampling.is_due(index) {
                 let taken = (index, capture_nanos);
-                return camera.developer.frame(bytes, &metadata, taken, spare).map_err(Fault::Frame);
+                let frame = camera.developer.frame(bytes, &metadata, taken, spare).map_err(Fault::Frame)?;
+                self.welcome(&mut camera.greeting);
+                return Ok(frame);
             }
             if Instant::now() >= answer_by {
                 return Err(Fault::NotYet);
@@ -184,7 +185,7 @@ impl<D: Driver> CameraSource<D> {
         is_anew && camera.stream.has_changed(&camera.developer.delivery)
     }
 
-    /// A frame came: whatever was wrong is over.
+    /// A whole frame came: whatever was wrong is over.
     fn welcome(&mut self, greeting: &mut Option<(Identity, String)>) {
         let was_told = self.outage.end();
         let news = match greeting.take() {
@@ -235,7 +236,6 @@ impl<D: Driver> CameraSource<D> {
             self.driver.open(path, &self.spec).map_err(Some)?;
         self.sampling.begin_anew(delivery.fps);
         self.clock = CaptureClock::default();
-        self.damaged = 0;
         let greeting = Some((identity, format!("it is back at {}: {description}", path.display())));
         let developer = Developer { device: self.spec.device.clone(), delivery };
         Ok(OpenCamera { stream, developer, greeting })
@@ -247,7 +247,7 @@ impl<D: Driver> CameraSource<D> {
             return self.is_changed(camera);
         }
         self.damaged += 1;
-        if self.damaged >= MAX_DAMAGED {
+        if self.damaged.is_multiple_of(MAX_DAMAGED) {
             self.close(camera);
         } else {
             self.open = Some(camera);

@@ -226,6 +226,17 @@ fn damaged_frames_are_told_each_and_many_of_them_have_the_camera_opened_anew() {
 }
 
 #[test]
+fn a_camera_that_sends_nothing_but_damaged_frames_is_not_said_to_be_back() {
+    let (mut source, stage) = scripted((0..9).map(Act::Half));
+    source.take_notice();
+    for _ in 0..9 {
+        assert!(next(&mut source).unwrap_err().contains("is cut off"));
+        assert_eq!(source.take_notice(), None);
+    }
+    assert_eq!(stage.script(|script| script.opened.len()), 3);
+}
+
+#[test]
 fn a_changed_format_is_agreed_on_anew_at_once() {
     let (mut source, stage) = scripted([Act::Half(0), Act::Frame(0)]);
     stage.script(|script| script.has_changed = true);

@@ -10,8 +10,10 @@ use ::rerun::{
 
 use super::style;
 use super::target::one_line;
-use crate::recognition::{Candidate, Decision, Evidence, Insight, Recognition};
-use crate::telemetry::{CnnStatus, Flow, FrameRecord, Losses, StageLatency};
+use super::told::{Told, ToldCandidate};
+use crate::place_map::PlaceId;
+use crate::recognition::{Decision, Evidence, Insight};
+use crate::telemetry::{CnnStatus, Flow, Losses, StageLatency};
 
 /// Candidates that the answer lists.
 const LISTED: usize = 6;
@@ -43,41 +45,38 @@ pub(super) fn dress(stream: &RecordingStream) -> RecordingStreamResult<()> {
     Ok(())
 }
 
-/// Shows the answer for `record`.
-pub(super) fn show(stream: &RecordingStream, record: &FrameRecord) -> RecordingStreamResult<()> {
-    let recognition = &record.recognition;
-    if let Some(place) = recognition.place {
+/// Shows an answer.
+pub(super) fn show(stream: &RecordingStream, told: &Told<'_>) -> RecordingStreamResult<()> {
+    if let Some(place) = told.place {
         let place = Scalars::single(f64::from(place.0));
         stream.log(style::PLACE, &place)?;
-        stream.log(style::place_path(recognition.decision), &place)?;
+        stream.log(style::place_path(told.decision), &place)?;
     }
-    stream.log(style::CONFIDENCE, &Scalars::single(f64::from(recognition.confidence)))?;
-    if let Some(inliers) = recognition.inliers {
+    stream.log(style::CONFIDENCE, &Scalars::single(f64::from(told.confidence)))?;
+    if let Some(inliers) = told.inliers {
         stream.log(style::INLIERS, &Scalars::single(f64::from(inliers)))?;
     }
-    for ((path, ..), micros) in style::LATENCIES.into_iter().zip(in_order(record.latency)) {
+    for ((path, ..), micros) in style::LATENCIES.into_iter().zip(in_order(told.latency)) {
         stream.log(path, &Scalars::single(micros as f64 / 1e3))?;
     }
-    for ((path, ..), count) in style::FLOW.into_iter().zip(counts(record.flow)) {
+    for ((path, ..), count) in style::FLOW.into_iter().zip(counts(told.flow)) {
         stream.log(path, &Scalars::single(count as f64))?;
     }
-    if let Some(insight) = &record.insight {
-        stream.log(style::BELIEF, &belief(insight))?;
-    }
-    stream.log(style::NOW, &TextDocument::from_markdown(markdown(record)))?;
-    let line = TextLog::new(log_line(record))
-        .with_level(level(record))
-        .with_color(style::colour(recognition.decision));
+    stream.log(style::NOW, &TextDocument::from_markdown(markdown(told)))?;
+    let line = TextLog::new(log_line(told)).with_level(level(told)).with_color(style::colour(told.decision));
     stream.log(style::LOG, &line)
 }
 
-/// A bar for every place that stands out, and one at −1 for none of them.
-fn belief(insight: &Insight) -> BarChart {
+/// Shows what is believed: a bar for every place that stands out, and one left of them for none.
+pub(super) fn show_belief(stream: &RecordingStream, insight: &Insight) -> RecordingStreamResult<()> {
     let shares = insight.belief.iter().map(|(_, share)| *share);
     let heights: Vec<f32> = iter::once(insight.elsewhere).chain(shares).collect();
     let places = insight.belief.iter().map(|(place, _)| i64::from(place.0));
-    let positions: Vec<i64> = iter::once(-1).chain(places).collect();
-    BarChart::new(heights.as_slice()).with_abscissa(positions.as_slice()).with_color(style::BLUE)
+    // Places that stand out are mostly near each other: a bar at a fixed place would make all of them thin.
+    let none = places.clone().min().unwrap_or_default() - 2;
+    let positions: Vec<i64> = iter::once(none).chain(places).collect();
+    let bars = BarChart::new(heights.as_slice()).with_abscissa(positions.as_slice());
+    stream.log(style::BELIEF, &bars.with_color(style::BLUE))
 }
 
 /// Says that frames were left out because the viewer is slow.
@@ -101,95 +100,91 @@ fn counts(flow: Flow) -> [u64; 9] {
     [features, cnn, recognition, sinks, unreadable, lost, dropped, spared, missed_records]
 }
 
-fn level(record: &FrameRecord) -> &'static str {
-    match record.recognition.decision {
-        _ if record.cnn == CnnStatus::Failed => TextLogLevel::WARN,
+fn level(told: &Told<'_>) -> &'static str {
+    match told.decision {
+        _ if told.cnn == CnnStatus::Failed => TextLogLevel::WARN,
         Decision::Recognised | Decision::Revisited | Decision::NewPlace => TextLogLevel::INFO,
         Decision::SamePlace | Decision::Unknown => TextLogLevel::DEBUG,
     }
 }
 
 /// For example `recognised place 17 by cnn, 0.993; not 9: probability 0.004 < 0.500`.
-fn log_line(record: &FrameRecord) -> String {
-    let recognition = &record.recognition;
-    let mut line = style::words(recognition.decision).to_owned();
-    if let Some(place) = recognition.place {
-        let _ = match recognition.decision {
+fn log_line(told: &Told<'_>) -> String {
+    let mut line = style::words(told.decision).to_owned();
+    if let Some(place) = told.place {
+        let _ = match told.decision {
             Decision::SamePlace | Decision::NewPlace => write!(line, " {}", place.0),
             _ => write!(line, " place {}", place.0),
         };
     }
-    if let Some(name) = &recognition.name {
+    if let Some(name) = told.name {
         let _ = write!(line, " ({})", shortened(name));
     }
-    if let Some(by) = recognition.by.filter(|by| *by != Evidence::PlaceInterval) {
+    if let Some(by) = told.by.filter(|by| *by != Evidence::PlaceInterval) {
         let _ = write!(line, " by {}", evidence(by));
     }
-    let _ = write!(line, ", {:.3}", recognition.confidence);
-    for candidate in turned_down(recognition).take(NAMED) {
-        if let Some(reason) = candidate.rejected {
-            let _ = write!(line, "; not {}: {reason}", candidate.place.0);
-        }
+    let _ = write!(line, ", {:.3}", told.confidence);
+    for (place, reason) in turned_down(told).take(NAMED) {
+        let _ = write!(line, "; not {}: {reason}", place.0);
     }
-    if record.cnn == CnnStatus::Failed {
+    if told.cnn == CnnStatus::Failed {
         line.push_str("; the CNN failed");
     }
     line
 }
 
-/// The candidates of other places, the best first, each place once.
-fn turned_down(recognition: &Recognition) -> impl Iterator<Item = &Candidate> {
-    let candidates = &recognition.candidates;
+/// The candidates of other places with what speaks against them, the best first, each place once.
+fn turned_down<'t>(told: &'t Told<'_>) -> impl Iterator<Item = (PlaceId, &'t str)> {
+    let candidates = &told.candidates;
     candidates.iter().enumerate().filter_map(|(index, candidate)| {
         let is_first = candidates[..index].iter().all(|earlier| earlier.place != candidate.place);
-        let is_other = recognition.place != Some(candidate.place);
-        (is_first && is_other && candidate.rejected.is_some()).then_some(candidate)
+        let is_other = told.place != Some(candidate.place);
+        let reason = candidate.rejected.as_deref().filter(|_| is_first && is_other);
+        reason.map(|reason| (candidate.place, reason))
     })
 }
 
 /// The answer as a page: what was decided, and the candidates with the reasons against them.
-fn markdown(record: &FrameRecord) -> String {
-    let recognition = &record.recognition;
-    let mut page = match recognition.place {
+fn markdown(told: &Told<'_>) -> String {
+    let mut page = match told.place {
         Some(place) => format!("# Place {}", place.0),
         None => "# Unknown".to_owned(),
     };
-    if let Some(name) = &recognition.name {
+    if let Some(name) = told.name {
         let _ = write!(page, " · {}", escaped(name));
     }
-    let _ = write!(page, "\n\n**{}**", style::words(recognition.decision));
-    if let Some(by) = recognition.by.filter(|by| *by != Evidence::PlaceInterval) {
+    let _ = write!(page, "\n\n**{}**", style::words(told.decision));
+    if let Some(by) = told.by.filter(|by| *by != Evidence::PlaceInterval) {
         let _ = write!(page, " by {}", evidence(by));
     }
-    let _ = write!(page, ", {:.0} % sure", 100.0 * recognition.confidence);
-    if let Some(matched) = &record.matched {
-        let _ = write!(page, " · keyframe {} from {}", matched.experience.0, escaped(&matched.frame_name));
+    let _ = write!(page, ", {:.0} % sure", 100.0 * told.confidence);
+    if let Some((keyframe, name)) = &told.matched {
+        let from = name.as_deref().map_or_else(String::new, |name| format!(" from {}", escaped(name)));
+        let _ = write!(page, " · keyframe {}{from}", keyframe.0);
     }
-    let _ = write!(page, " · frame {}", escaped(&record.frame.name));
-    match record.cnn {
+    let _ = write!(page, " · frame {}", escaped(&told.frame_name));
+    match told.cnn {
         CnnStatus::Available => {}
         CnnStatus::Unavailable => page.push_str(" · no CNN"),
         CnnStatus::Failed => page.push_str(" · **the CNN failed**"),
     }
     page.push_str("\n\n");
-    if !recognition.candidates.is_empty() {
+    if !told.candidates.is_empty() {
         page.push_str("| Place | Evidence | Score | Inliers | |\n|---|---|---|---|---|\n");
     }
-    for candidate in recognition.candidates.iter().take(LISTED) {
+    for candidate in told.candidates.iter().take(LISTED) {
         push_row(&mut page, candidate);
     }
     page
 }
 
-fn push_row(page: &mut String, candidate: &Candidate) {
+fn push_row(page: &mut String, candidate: &ToldCandidate) {
     let inliers = candidate.inliers.map(|inliers| inliers.to_string()).unwrap_or_default();
-    let (by, score) = (evidence(candidate.by), candidate.score);
-    let _ = match candidate.rejected {
-        None => {
-            writeln!(page, "| **{}** | {by} | {score:.3} | {inliers} | **accepted** |", candidate.place.0)
-        }
+    let (place, by, score) = (candidate.place.0, evidence(candidate.by), candidate.score);
+    let _ = match &candidate.rejected {
+        None => writeln!(page, "| **{place}** | {by} | {score:.3} | {inliers} | **accepted** |"),
         Some(reason) => {
-            writeln!(page, "| {} | {by} | {score:.3} | {inliers} | {reason} |", candidate.place.0)
+            writeln!(page, "| {place} | {by} | {score:.3} | {inliers} | {} |", escaped_sentence(reason))
         }
     };
 }
@@ -212,10 +207,22 @@ fn shortened(name: &str) -> String {
 }
 
 /// The same, with nothing in it that Markdown would take for its own.
-fn escaped(name: &str) -> String {
+pub(super) fn escaped(name: &str) -> String {
     let mut escaped = String::new();
     for character in shortened(name).chars() {
         if character.is_ascii_punctuation() && !matches!(character, '.' | ',' | '/' | ':' | '-') {
+            escaped.push('\\');
+        }
+        escaped.push(character);
+    }
+    escaped
+}
+
+/// A sentence, in which nothing is Markdown.
+pub(super) fn escaped_sentence(sentence: &str) -> String {
+    let mut escaped = String::new();
+    for character in one_line(sentence).chars() {
+        if matches!(character, '*' | '|' | '[' | ']' | '!' | '`' | '\\') {
             escaped.push('\\');
         }
         escaped.push(character);

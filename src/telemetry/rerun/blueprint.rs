@@ -22,20 +22,20 @@ use ::rerun::{
     RecordingStreamResult, SerializedComponentBatch,
 };
 
-use super::style;
+use super::clock::FRAME_TIMELINE;
+use super::{RerunDetail, gallery, style};
 
 /// Margin around pictures, as a share of their height.
 const MARGIN: f32 = 0.02;
 
-/// Sends the layout for a camera picture and a match view of these widths and this height in pixels.
-/// It becomes the active one too: a viewer that is slow to load would otherwise begin with a layout of its own.
+/// Sends the layout that `design` makes. It becomes the active one too: a viewer that is slow to load would otherwise
+/// begin with a layout of its own.
 pub(super) fn send(
     stream: &RecordingStream,
-    widths_px: [f32; 2],
-    height_px: f32,
+    design: impl FnOnce(&mut Layout) -> Blueprint,
 ) -> RecordingStreamResult<()> {
     let mut layout = Layout::default();
-    let blueprint = layout.blueprint(widths_px, height_px);
+    let blueprint = design(&mut layout);
     let (carrier, messages) = RecordingStreamBuilder::new(super::APPLICATION).memory()?;
     blueprint.send(&carrier, BlueprintActivation { make_active: true, make_default: true })?;
     let (mut layout_messages, mut activation) = (Vec::new(), None);
@@ -61,19 +61,43 @@ pub(super) fn send(
 
 /// Properties of views, by their path in the layout's store.
 #[derive(Default)]
-struct Layout {
+pub(super) struct Layout {
     properties: Vec<(String, Vec<SerializedComponentBatch>)>,
 }
 
 impl Layout {
-    fn blueprint(&mut self, [camera_width_px, match_width_px]: [f32; 2], height_px: f32) -> Blueprint {
-        let camera = Spatial2DView::new("Camera").with_origin("camera");
-        let matched = Spatial2DView::new("Frame and matched keyframe")
-            .with_contents([style::CAMERA_IMAGE.to_owned(), "match/**".to_owned()]);
-        let pictures = Horizontal::new([
-            self.shows(camera.into(), camera_width_px, height_px),
-            self.shows(matched.into(), match_width_px, height_px),
-        ]);
+    /// The layout of a run in that detail, for a camera picture and a match view of these widths and this height in
+    /// pixels.
+    pub(super) fn run(&mut self, detail: RerunDetail, widths_px: [f32; 2], height_px: f32) -> Blueprint {
+        let camera =
+            self.shows(Spatial2DView::new("Camera").with_origin("camera").into(), widths_px[0], height_px);
+        let (whereabouts, reasons, words) = (self.whereabouts(), self.reasons(detail), self.words());
+        let all = if detail.shows_evidence() {
+            let matched = Spatial2DView::new("Frame and matched keyframe")
+                .with_contents([style::CAMERA_IMAGE, "camera/images/**", "match/**"].map(str::to_owned));
+            let matched = self.shows(matched.into(), widths_px[1], height_px);
+            let pictures = Horizontal::new([camera, matched]).with_column_shares([1.0, 2.0]);
+            let answers = Horizontal::new([whereabouts.into(), reasons, words.into()]);
+            Vertical::new([pictures.into(), answers.into()]).with_row_shares([1.0, 1.25]).into()
+        } else {
+            let seen = Vertical::new([camera, reasons]);
+            ContainerLike::from(Horizontal::new([seen.into(), whereabouts.into(), words.into()]))
+        };
+        // What is newest is shown, live and of a file, until somebody goes back.
+        let time = TimePanel::new().with_play_state(PlayState::Following);
+        tidy(all, time.with_timeline(FRAME_TIMELINE))
+    }
+
+    /// Where the robot is.
+    fn whereabouts(&mut self) -> Vertical {
+        let belief = BarChartView::new("Belief over places (leftmost: none of them)");
+        let belief = self.with_legend(belief.with_origin(style::BELIEF).into(), None);
+        let map = Spatial2DView::new("Map").with_origin(style::MAP);
+        Vertical::new([map.into(), belief]).with_row_shares([1.6, 1.0])
+    }
+
+    /// Why it is thought to be there.
+    fn reasons(&mut self, detail: RerunDetail) -> ContainerLike {
         let measures = Tabs::new([
             self.series("Place", style::PLACE, Some(Corner2D::LeftTop)),
             self.confidence(),
@@ -81,32 +105,77 @@ impl Layout {
             self.series("Latency in ms", "latency", Some(Corner2D::LeftTop)),
             self.series("Queues and losses", "flow", Some(Corner2D::LeftTop)),
         ]);
+        if !detail.shows_evidence() {
+            return measures.into();
+        }
         let similarity = Spatial2DView::new("Similarity of frames (right) to keyframes (down)");
-        let similarity = similarity.with_origin(style::SIMILARITY).into();
-        let reasons = Vertical::new([similarity, measures.into()]);
-        let belief = BarChartView::new("Belief over places (−1: none of them)").with_origin(style::BELIEF);
-        let belief = self.with_legend(belief.into(), None);
-        let map = Spatial2DView::new("Map").with_origin(style::MAP);
-        let whereabouts = Vertical::new([map.into(), belief]);
+        Vertical::new([similarity.with_origin(style::SIMILARITY).into(), measures.into()]).into()
+    }
+
+    /// The answer, and those before it.
+    fn words(&mut self) -> Vertical {
+        let log = self.log(TextLogView::new("Log").with_origin(style::LOG).into());
+        let answer = TextDocumentView::new("Answer").with_origin(style::NOW);
+        Vertical::new([answer.into(), log]).with_row_shares([1.3, 1.0])
+    }
+
+    /// The layout of a run's review, with pictures of the map or without.
+    pub(super) fn logged(&mut self, has_pictures: bool) -> Blueprint {
+        let picture = |name: &str, origin: &str| Spatial2DView::new(name).with_origin(origin).into();
+        let map = Spatial2DView::new("Map").with_origin(style::MAP).into();
+        let seen = if has_pictures {
+            let pictures = Vertical::new([
+                picture("Frame, as it was learnt", style::EXPERIENCE),
+                picture("Matched keyframe", style::KEYFRAME),
+            ]);
+            ContainerLike::from(Horizontal::new([pictures.into(), map]).with_column_shares([1.0, 1.3]))
+        } else {
+            map
+        };
+        let place = self.series("Place", style::PLACE, Some(Corner2D::LeftTop));
+        let curves = Tabs::new([
+            self.confidence(),
+            self.series("Effective inliers", style::INLIERS, None),
+            self.series("Latency in ms", "latency", Some(Corner2D::LeftTop)),
+            self.series("Queues and losses", "flow", Some(Corner2D::LeftTop)),
+        ]);
+        let run = Vertical::new([seen, Horizontal::new([place, curves.into()]).into()]);
+        let all = Horizontal::new([run.with_row_shares([1.6, 1.0]).into(), self.words().into()]);
+        let time = TimePanel::new().with_play_state(PlayState::Paused);
+        tidy(all.with_column_shares([2.0, 1.0]), time.with_timeline(FRAME_TIMELINE))
+    }
+
+    /// The layout of a map's review: places on one tab, all experiences on the other.
+    pub(super) fn review(&mut self) -> Blueprint {
+        let [width, height] = gallery::SHEET;
+        let sheet =
+            Spatial2DView::new("Experiences of the place, keyframes framed").with_origin(style::GALLERY);
         let words = Vertical::new([
-            TextDocumentView::new("Answer").with_origin(style::NOW).into(),
-            self.log(TextLogView::new("Log").with_origin(style::LOG).into()),
+            TextDocumentView::new("Place").with_origin(style::NOW).into(),
+            Spatial2DView::new("Map").with_origin(style::MAP).into(),
         ]);
-        let answers = Horizontal::new([
-            whereabouts.with_row_shares([1.6, 1.0]).into(),
-            reasons.into(),
-            words.with_row_shares([1.3, 1.0]).into(),
+        let above = Horizontal::new([self.shows(sheet.into(), width, height), words.into()]);
+        let below = Horizontal::new([
+            self.series("Experiences and keyframes, place by place", style::COUNTS, Some(Corner2D::LeftTop)),
+            self.series("Mean luminance, place by place", style::LIGHT, Some(Corner2D::LeftTop)),
+            self.log(TextLogView::new("Worth a look").with_origin(style::LOG).into()),
         ]);
-        let all = Vertical::new([pictures.with_column_shares([1.0, 2.0]).into(), answers.into()]);
-        // What is newest is shown, live and of a file, until somebody goes back.
-        let time = TimePanel::new().with_state(PanelState::Collapsed).with_play_state(PlayState::Following);
-        let time = time.with_timeline(super::FRAME_TIMELINE);
-        Blueprint::new(all.with_row_shares([1.0, 1.25]))
-            .with_auto_views(false)
-            .with_auto_layout(false)
-            .with_blueprint_panel(BlueprintPanel::new().with_state(PanelState::Hidden))
-            .with_selection_panel(SelectionPanel::new().with_state(PanelState::Hidden))
-            .with_time_panel(time)
+        let places = Vertical::new([
+            above.with_column_shares([1.7, 1.0]).into(),
+            below.with_column_shares([1.0, 1.0, 1.4]).into(),
+        ]);
+        let experience = Spatial2DView::new("Experience").with_origin(style::EXPERIENCE).into();
+        let experiences = Vertical::new([
+            experience,
+            self.series("Place of the experience", style::EXPERIENCE_PLACE, None),
+        ]);
+        let named = |container: Vertical, name: &str| container.with_name(name).into();
+        let tabs = Tabs::new([
+            named(places.with_row_shares([2.0, 1.0]), "Places (timeline: place)"),
+            named(experiences, "All experiences (timeline: experience)"),
+        ]);
+        let time = TimePanel::new().with_play_state(PlayState::Paused);
+        tidy(tabs, time.with_timeline(super::review::PLACE_TIMELINE))
     }
 
     /// Pictures stand still whatever is drawn on them.
@@ -168,6 +237,16 @@ impl Layout {
             self.properties.push((path, properties.into_iter().flatten().collect()));
         }
     }
+}
+
+/// A layout without panels at its sides.
+fn tidy(all: impl Into<ContainerLike>, time: TimePanel) -> Blueprint {
+    Blueprint::new(all)
+        .with_auto_views(false)
+        .with_auto_layout(false)
+        .with_blueprint_panel(BlueprintPanel::new().with_state(PanelState::Hidden))
+        .with_selection_panel(SelectionPanel::new().with_state(PanelState::Hidden))
+        .with_time_panel(time.with_state(PanelState::Collapsed))
 }
 
 /// `component` is `Archetype:property`, as rerun names them.

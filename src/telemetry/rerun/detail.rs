@@ -10,11 +10,11 @@ use crate::telemetry::TelemetryError;
 pub enum RerunDetail {
     /// Answers, map and curves of every frame, and a small picture a second.
     Lean,
-    /// The camera's picture, matches and similarities, too, of ten frames a second at most. JPEGs go through as they
-    /// are, other pictures become JPEGs.
+    /// Similarities of every frame, too, and the camera's picture and matches of ten a second at most. JPEGs go through
+    /// as they are, other pictures become JPEGs.
     #[default]
     Normal,
-    /// All of every frame; pictures as they are.
+    /// All of every frame; pictures that are no JPEGs with a quarter of their colour values (NV12).
     Full,
 }
 
@@ -72,19 +72,17 @@ impl PicturePace {
 
     /// Whether the frame that was captured then is shown as a picture; one before it never happened.
     pub(super) fn is_due(&mut self, capture_nanos: i64) -> bool {
+        let interval = self.interval_nanos;
         let due = self.due_nanos.unwrap_or(capture_nanos);
-        // A clock that was set back makes nobody wait for it to come round again.
-        if capture_nanos < due && due.saturating_sub(capture_nanos) <= self.interval_nanos {
+        // A camera of just that rate comes a little early now and then, and is not to lose every second frame; a clock
+        // that was set back makes nobody wait for it to come round again.
+        let early = due.saturating_sub(capture_nanos);
+        if early > interval / 8 && early <= interval.saturating_mul(2) {
             return false;
         }
-        // A camera of that very rate comes a little early now and then, and is not to lose every second frame.
-        let next = due.saturating_add(self.interval_nanos);
-        let behind = capture_nanos.saturating_sub(self.interval_nanos / 2);
-        self.due_nanos = Some(if next < behind || due > capture_nanos {
-            capture_nanos.saturating_add(self.interval_nanos)
-        } else {
-            next
-        });
+        let is_in_step = early.unsigned_abs() <= interval.unsigned_abs();
+        let from = if is_in_step { due } else { capture_nanos };
+        self.due_nanos = Some(from.saturating_add(interval));
         true
     }
 }
@@ -113,13 +111,14 @@ mod tests {
     fn pictures_come_at_their_pace_and_never_faster_for_long() {
         let camera = || (0..100).map(|frame| frame * 33);
         assert_eq!(shown(RerunDetail::Full, camera()).len(), 100);
-        assert_eq!(shown(RerunDetail::Normal, camera()).len(), 33);
-        assert_eq!(shown(RerunDetail::Lean, camera()), [0, 1023, 2013, 3003]);
+        assert!((32..=34).contains(&shown(RerunDetail::Normal, camera()).len()));
+        let seldom = shown(RerunDetail::Lean, camera());
+        assert!(seldom.len() == 4 && seldom.windows(2).all(|pair| pair[1] - pair[0] >= 875), "{seldom:?}");
     }
 
     #[test]
     fn a_camera_of_just_that_pace_loses_none_though_its_times_waver() {
-        let wavering = (0..50).map(|frame| frame * 100 + [0, 3, -0, 2][frame as usize % 4]);
+        let wavering = (0..50).map(|frame| frame * 100 + [3, 0, -2, 2][frame as usize % 4]);
         assert_eq!(shown(RerunDetail::Normal, wavering).len(), 50);
     }
 

@@ -39,8 +39,9 @@ impl RecordingFile {
 
     /// Begins the only file, or the next one.
     pub(super) fn begin(&mut self) -> Result<RecordingStream, String> {
+        super::check_switch()?;
         if let Some(files) = &mut self.files {
-            self.path = files.next().map_err(|error| format!("cannot remove the oldest file: {error}"))?;
+            self.path = files.next().map_err(|error| format!("cannot write the next file: {error}"))?;
         }
         let builder = RecordingStreamBuilder::new(super::APPLICATION);
         let builder = match &self.recording {
@@ -62,7 +63,9 @@ impl RecordingFile {
         if self.files.is_none() {
             return false;
         }
-        let begun = *self.begun_nanos.get_or_insert(capture_nanos);
+        // A clock that was set back is believed: the file is as old as its oldest frame.
+        let begun = self.begun_nanos.map_or(capture_nanos, |begun| begun.min(capture_nanos));
+        self.begun_nanos = Some(begun);
         // What cannot be asked for its size is told of when it is closed.
         let bytes = fs::metadata(&self.path).map_or(0, |metadata| metadata.len());
         let is_over = self.rotation.is_over(bytes, capture_nanos.saturating_sub(begun));

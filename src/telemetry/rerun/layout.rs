@@ -31,13 +31,8 @@ impl Layout {
         self.positions.get(&node).copied()
     }
 
-    /// Makes room for `nodes` and no others, which `edges` join; those in `held` are where that says.
-    pub(super) fn settle(
-        &mut self,
-        nodes: &[PlaceId],
-        edges: &[(PlaceId, PlaceId)],
-        held: &BTreeMap<PlaceId, [f32; 2]>,
-    ) {
+    /// Makes room for `nodes`, which rise, and no others; `edges` join them.
+    pub(super) fn settle(&mut self, nodes: &[PlaceId], edges: &[(PlaceId, PlaceId)]) {
         for (position, &node) in nodes.iter().enumerate() {
             if !self.positions.contains_key(&node) {
                 let neighbour = edges.iter().find_map(|&(a, b)| match (a == node, b == node) {
@@ -53,8 +48,6 @@ impl Layout {
             }
         }
         self.positions.retain(|node, _| nodes.binary_search(node).is_ok());
-        self.positions.extend(held.iter().filter(|(node, _)| nodes.binary_search(node).is_ok()));
-        let is_held: Vec<bool> = nodes.iter().map(|node| held.contains_key(node)).collect();
         let edges: Vec<[usize; 2]> = edges
             .iter()
             .filter_map(|(a, b)| Some([nodes.binary_search(a).ok()?, nodes.binary_search(b).ok()?]))
@@ -62,14 +55,14 @@ impl Layout {
         let mut places: Vec<[f32; 2]> = self.positions.values().copied().collect();
         for round in 0..ROUNDS {
             let step = FIRST_STEP * (1.0 - round as f32 / ROUNDS as f32);
-            relax(&mut places, &edges, &is_held, step);
+            relax(&mut places, &edges, step);
         }
         self.positions.values_mut().zip(places).for_each(|(position, place)| *position = place);
     }
 }
 
-/// One round, in which every node that is not held moves by `step` at most.
-fn relax(places: &mut [[f32; 2]], edges: &[[usize; 2]], is_held: &[bool], step: f32) {
+/// One round, in which every node moves by `step` at most.
+fn relax(places: &mut [[f32; 2]], edges: &[[usize; 2]], step: f32) {
     let mut forces = vec![[0.0_f32; 2]; places.len()];
     for a in 0..places.len() {
         for b in a + 1..places.len() {
@@ -81,14 +74,14 @@ fn relax(places: &mut [[f32; 2]], edges: &[[usize; 2]], is_held: &[bool], step: 
         let (dx, dy, distance) = between(places[a], places[b], b);
         push(&mut forces, [a, b], [dx, dy], distance / EDGE);
     }
-    for ((place, [x, y]), _) in places.iter_mut().zip(forces).zip(is_held).filter(|(_, is_held)| !**is_held) {
+    for (place, [x, y]) in places.iter_mut().zip(forces) {
         let length = x.hypot(y).max(f32::MIN_POSITIVE);
         let moved = length.min(step) / length;
         *place = [place[0] + x * moved, place[1] + y * moved];
     }
 }
 
-/// From `a` to `b`, never nothing: nodes on top of each other are parted, each pair another way.
+/// From `a` to `b`, never nothing: nodes on top of each other are parted, in a direction that is `b`'s.
 fn between(a: [f32; 2], b: [f32; 2], salt: usize) -> (f32, f32, f32) {
     let [mut dx, mut dy] = [b[0] - a[0], b[1] - a[1]];
     if dx.abs().max(dy.abs()) < 1e-3 {
@@ -126,9 +119,9 @@ mod tests {
         let (nodes, edges) = ring(12);
         // As it grows, the last edge coming last.
         for known in 1..=12 {
-            layout.settle(&nodes[..known], &edges[..known - 1], &BTreeMap::new());
+            layout.settle(&nodes[..known], &edges[..known - 1]);
         }
-        (0..20).for_each(|_| layout.settle(&nodes, &edges, &BTreeMap::new()));
+        (0..20).for_each(|_| layout.settle(&nodes, &edges));
         let across = distance(&layout, 0, 6);
         for node in 0..12 {
             let next = distance(&layout, node, (node + 1) % 12);
@@ -137,23 +130,20 @@ mod tests {
     }
 
     #[test]
-    fn nodes_that_are_held_stay_and_those_that_are_gone_are_forgotten() {
+    fn nodes_that_are_gone_are_forgotten() {
         let mut layout = Layout::default();
         let (nodes, edges) = ring(4);
-        let held = BTreeMap::from([(PlaceId(2), [7.0, -3.0]), (PlaceId(9), [1.0, 1.0])]);
-        layout.settle(&nodes, &edges, &held);
-        assert_eq!(layout.position(PlaceId(2)), Some([7.0, -3.0]));
-        layout.settle(&nodes[..2], &edges, &held);
-        assert_eq!((layout.position(PlaceId(2)), layout.position(PlaceId(9))), (None, None));
+        layout.settle(&nodes, &edges);
+        layout.settle(&nodes[..2], &edges);
+        assert!(layout.position(PlaceId(1)).is_some() && layout.position(PlaceId(2)).is_none());
     }
 
     #[test]
     fn nodes_on_top_of_each_other_are_parted_and_no_position_is_lost() {
-        let mut layout = Layout::default();
         let (nodes, edges) = ring(30);
-        let held: BTreeMap<PlaceId, [f32; 2]> = nodes.iter().map(|&node| (node, [0.0, 0.0])).collect();
-        layout.settle(&nodes, &edges, &held);
-        layout.settle(&nodes, &edges, &BTreeMap::new());
+        let positions = nodes.iter().map(|&node| (node, [0.0, 0.0])).collect();
+        let mut layout = Layout { positions, heading_radians: 0.0 };
+        layout.settle(&nodes, &edges);
         let positions: Vec<[f32; 2]> = nodes.iter().filter_map(|&node| layout.position(node)).collect();
         assert!(positions.iter().flatten().all(|side| side.is_finite()));
         assert!(distance(&layout, 0, 15) > 0.1, "{positions:?}");

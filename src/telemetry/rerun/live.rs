@@ -7,6 +7,7 @@
 
 use std::io;
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -32,6 +33,9 @@ const PATIENCE: Duration = Duration::from_secs(2);
 const MAX_CLOSING: Duration = Duration::from_secs(20);
 /// How long a viewer may take to start.
 const MAX_STARTING: Duration = Duration::from_secs(20);
+
+const NO_VIEWER: &str =
+    "no viewer is installed; pip install rerun-sdk==0.36.3, or cargo install --locked rerun-cli@0.36.3";
 
 /// The stream's end of the queue to a viewer.
 pub(super) struct Relay {
@@ -110,10 +114,7 @@ pub(super) fn spawn(viewer: &str) -> Result<(Relay, Live), String> {
     let is_listening = || TcpStream::connect_timeout(&address, Duration::from_millis(200)).is_ok();
     if !is_listening() {
         let mut child = viewer_command(viewer).spawn().map_err(|error| match error.kind() {
-            io::ErrorKind::NotFound => {
-                "no viewer is installed; pip install rerun-sdk==0.36.3, or cargo install --locked rerun-cli@0.36.3"
-                    .to_owned()
-            }
+            io::ErrorKind::NotFound => NO_VIEWER.to_owned(),
             _ => format!("the viewer cannot be started: {error}"),
         })?;
         let started = Instant::now();
@@ -134,6 +135,15 @@ pub(super) fn spawn(viewer: &str) -> Result<(Relay, Live), String> {
         }
     }
     connect(&address.to_string())
+}
+
+/// Opens the recording `file` in the program `viewer`, which stays open.
+pub(super) fn open(viewer: &str, file: &Path) -> Result<(), String> {
+    let spawned = viewer_command(viewer).arg(file).spawn();
+    spawned.map(drop).map_err(|error| match error.kind() {
+        io::ErrorKind::NotFound => NO_VIEWER.to_owned(),
+        _ => format!("the viewer cannot be started: {error}"),
+    })
 }
 
 /// rerun's own `spawn` listens to every network and keeps our standard output open, so that a program

@@ -3,37 +3,44 @@
 //! A viewer never holds up the stream: one that looks on live is behind the queue of [`live`], which
 //! leaves frames out when it is too slow; only a recording to a file waits, for the disk.
 //!
-//! Everything is logged on two timelines: `frame`, the index in the stream, and `capture_time`, a date
-//! if the first frame's clock stands later than 1971, else the time since the source began. Nothing is
-//! logged against the computer's clock, so that a repeated run gives the same recording.
+//! Everything is logged on two timelines ([`clock`]), both of the frames. Nothing is logged against the computer's
+//! clock, so that a repeated run gives the same recording.
 
 mod answer;
 mod blueprint;
+mod clock;
 mod detail;
 mod file;
+mod gallery;
 mod jpeg;
 mod layout;
 mod live;
+mod pictures;
 mod place_graph;
+mod review;
 mod rotation;
 mod scene;
 mod similarity;
 mod style;
 mod target;
+mod told;
 mod trajectory;
 
 #[cfg(test)]
 mod tests;
 
 pub use detail::RerunDetail;
+pub use review::{Finding, ReviewError, Reviewed, ReviewedRun, review_map, review_run};
 pub use rotation::Rotation;
 pub use target::RerunTarget;
 
 use std::mem;
+use std::path::Path;
 use std::time::Duration;
 
-use ::rerun::{RecordingStream, RecordingStreamBuilder, RecordingStreamResult, TimeCell};
+use ::rerun::{RecordingStream, RecordingStreamBuilder, RecordingStreamResult};
 
+use self::clock::Clock;
 use self::detail::PicturePace;
 use self::file::RecordingFile;
 use self::live::{Live, Relay};
@@ -41,18 +48,13 @@ use self::place_graph::PlaceGraph;
 use self::scene::Scene;
 use self::similarity::SimilarityPicture;
 use self::target::one_line;
+use self::told::Told;
 use super::{FrameRecord, RecognitionSink, TelemetryError};
 
 /// The name under which viewers keep layouts of our recordings.
 const APPLICATION: &str = "loci";
 /// The program that shows recordings.
 const VIEWER: &str = "rerun";
-/// The timeline of frame indices.
-const FRAME_TIMELINE: &str = "frame";
-/// The timeline of capture times.
-const TIME_TIMELINE: &str = "capture_time";
-/// Clocks that stand earlier, in nanoseconds since the Unix epoch, count from the start of the source.
-const EARLIEST_DATE_NANOS: i64 = 365 * 24 * 3600 * 1_000_000_000;
 /// How long a disk may take for what is left at the end.
 const MAX_WRITING: Duration = Duration::from_secs(20);
 
@@ -60,6 +62,7 @@ const MAX_WRITING: Duration = Duration::from_secs(20);
 pub struct RerunSink {
     target: RerunTarget,
     stream: RecordingStream,
+    clock: Clock,
     live: Option<Live>,
     /// The file that is written, if one is.
     file: Option<RecordingFile>,
@@ -68,8 +71,6 @@ pub struct RerunSink {
     scene: Scene,
     graph: PlaceGraph,
     similarities: SimilarityPicture,
-    /// Whether capture times are dates; the first frame tells.
-    has_dates: Option<bool>,
     /// Frames left out since the viewer fell behind.
     frames_left_out: u64,
 }
@@ -93,6 +94,7 @@ impl RerunSink {
         Ok(Self {
             target: target.clone(),
             stream: dressed(stream).map_err(|error| refusal(target, &error.to_string()))?,
+            clock: Clock::default(),
             live,
             file,
             detail,
@@ -100,13 +102,12 @@ impl RerunSink {
             scene: Scene::new(detail),
             graph: PlaceGraph::default(),
             similarities: SimilarityPicture::default(),
-            has_dates: None,
             frames_left_out: 0,
         })
     }
 
     fn show(&mut self, record: &FrameRecord) -> RecordingStreamResult<()> {
-        self.set_time(record);
+        self.clock.set(&self.stream, record.frame.index, record.frame.capture_nanos);
         if self.frames_left_out > 0 {
             answer::show_gap(&self.stream, mem::take(&mut self.frames_left_out))?;
         }
@@ -117,7 +118,10 @@ impl RerunSink {
             self.show_similarities(record)?;
         }
         self.graph.show(&self.stream, record)?;
-        answer::show(&self.stream, record)
+        if let Some(insight) = &record.insight {
+            answer::show_belief(&self.stream, insight)?;
+        }
+        answer::show(&self.stream, &Told::from(record))
     }
 
     fn show_similarities(&mut self, record: &FrameRecord) -> RecordingStreamResult<()> {
@@ -126,19 +130,6 @@ impl RerunSink {
             self.similarities.show(&self.stream)?;
         }
         Ok(())
-    }
-
-    fn set_time(&mut self, record: &FrameRecord) {
-        let nanos = record.frame.capture_nanos;
-        let index = i64::try_from(record.frame.index).unwrap_or(i64::MAX);
-        let has_dates = *self.has_dates.get_or_insert(nanos >= EARLIEST_DATE_NANOS);
-        let time = if has_dates {
-            TimeCell::from_timestamp_nanos_since_epoch(nanos)
-        } else {
-            TimeCell::from_duration_nanos(nanos)
-        };
-        self.stream.set_time(FRAME_TIMELINE, TimeCell::from_sequence(index));
-        self.stream.set_time(TIME_TIMELINE, time);
     }
 
     /// Closes the recording; whatever is recorded afterwards is shown to nobody.
@@ -197,16 +188,31 @@ impl RecognitionSink for RerunSink {
     fn looks_on(&self) -> bool {
         self.stream.is_enabled()
     }
+
+    fn shows_matched_keyframe(&self) -> bool {
+        self.stream.is_enabled() && self.detail.shows_evidence()
+    }
 }
 
 fn open(target: &RerunTarget) -> Result<(RecordingStream, Option<Live>), String> {
     let builder = RecordingStreamBuilder::new(APPLICATION);
+    if !matches!(target, RerunTarget::Off) {
+        check_switch()?;
+    }
     match target {
         RerunTarget::Off | RerunTarget::Save(..) => Ok((RecordingStream::disabled(), None)),
         RerunTarget::Spawn => look_on(builder, live::spawn(VIEWER)?),
         RerunTarget::Connect(address) => look_on(builder, live::connect(address)?),
         RerunTarget::Serve(address) => look_on(builder, live::serve(*address)?),
     }
+}
+
+/// Refuses where rerun's own switch, the variable RERUN, is off: all would be lost without a word.
+fn check_switch() -> Result<(), String> {
+    if ::rerun::decide_logging_enabled(true) {
+        return Ok(());
+    }
+    Err("the environment switches rerun off; unset RERUN".to_owned())
 }
 
 /// With what is shown all the time; times come from the frames alone.
@@ -224,6 +230,15 @@ fn look_on(
     let stream = builder.buffered().map_err(|error| error.to_string())?;
     stream.set_sink(Box::new(relay));
     Ok((stream, Some(live)))
+}
+
+/// Opens the recording `file` in a viewer, which stays open.
+///
+/// # Errors
+/// If no viewer is installed or it cannot be started.
+pub fn open_viewer(file: &Path) -> Result<(), TelemetryError> {
+    let named = |reason| TelemetryError::Rerun { target: file.display().to_string(), reason };
+    live::open(VIEWER, file).map_err(named)
 }
 
 fn refusal(target: &RerunTarget, reason: &str) -> TelemetryError {

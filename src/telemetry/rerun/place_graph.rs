@@ -3,17 +3,19 @@
 //!
 //! Of a large map, what is around the robot is shown.
 
-use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::mem;
 
 use ::rerun::{
-    AnnotationContext, AnnotationInfo, LineStrips2D, Points2D, Radius, RecordingStream, RecordingStreamResult,
+    AnnotationContext, AnnotationInfo, Clear, Color, LineStrips2D, Points2D, Radius, RecordingStream,
+    RecordingStreamResult,
 };
 
 use super::layout::Layout;
 use super::style;
 use super::target::one_line;
-use super::trajectory::{Trajectory, in_plane};
+use super::trajectory::Trajectory;
+use crate::frame::Pose;
 use crate::place_map::PlaceId;
 use crate::recognition::{Insight, PlaceSketch};
 use crate::telemetry::FrameRecord;
@@ -22,8 +24,10 @@ use crate::telemetry::FrameRecord;
 const MOST_SHOWN: usize = 150;
 /// Up to so many places, every one has its number written on it; among more, only those that have a name.
 const MOST_NUMBERED: usize = 60;
-/// Frames after which places that only grew are drawn anew.
-const PATIENCE_FRAMES: u64 = 30;
+/// Steps after which places that only grew are drawn anew.
+const PATIENCE_STEPS: u64 = 30;
+/// Steps after which the graph is drawn anew in any case: whoever comes late may have nothing of what is older.
+const MOST_STEPS: u64 = 300;
 /// Places that have their colour from the beginning, besides those with a name.
 const ANNOTATED: u32 = 1024;
 /// Longest name that is written, in characters.
@@ -38,11 +42,15 @@ pub(super) struct PlaceGraph {
     layout: Layout,
     trajectory: Trajectory,
     here: Option<PlaceId>,
+    /// The places that are drawn.
+    shown: Vec<PlaceId>,
     /// Whether nodes or edges came or went since the graph was drawn, and whether nodes grew.
     is_new: bool,
     has_grown: bool,
     drawn_at: u64,
     is_annotated: bool,
+    /// Whether a place is marked.
+    is_marked: bool,
 }
 
 impl PlaceGraph {
@@ -51,15 +59,23 @@ impl PlaceGraph {
         if let Some(insight) = &record.insight {
             self.learn_places(insight);
         }
-        if let Some((place, pose)) = record.recognition.place.zip(record.frame.pose)
-            && let Entry::Vacant(vacant) = self.seen_at.entry(place)
+        let Some(pose) = record.frame.pose else { return };
+        self.trajectory.add(&pose);
+        if let Some(place) = record.recognition.place
+            && !self.seen_at.contains_key(&place)
         {
-            vacant.insert(in_plane(&pose));
-            self.is_new = true;
+            self.put(place, &pose);
         }
     }
 
-    fn learn_places(&mut self, insight: &Insight) {
+    /// The place lies there.
+    pub(super) fn put(&mut self, place: PlaceId, pose: &Pose) {
+        self.seen_at.insert(place, self.trajectory.in_plane(pose));
+        self.is_new = true;
+    }
+
+    /// Takes in what is new of the map.
+    pub(super) fn learn_places(&mut self, insight: &Insight) {
         if insight.is_whole_map {
             self.places.clear();
             self.is_new = true;
@@ -82,26 +98,45 @@ impl PlaceGraph {
         stream: &RecordingStream,
         record: &FrameRecord,
     ) -> RecordingStreamResult<()> {
-        let here = record.recognition.place.or(self.here);
-        let is_due = self.has_grown && record.frame.index.saturating_sub(self.drawn_at) >= PATIENCE_FRAMES;
-        let is_out_of_sight = here.is_some_and(|here| self.layout.position(here).is_none());
+        let here = record.recognition.place.map(|place| (place, style::colour(record.recognition.decision)));
+        self.show_at(stream, record.frame.index, here)?;
+        record.frame.pose.map_or(Ok(()), |pose| self.trajectory.show(stream, &pose))
+    }
+
+    /// Draws the map, at this step, with a disc of that colour behind a place.
+    pub(super) fn show_at(
+        &mut self,
+        stream: &RecordingStream,
+        step: u64,
+        marked: Option<(PlaceId, Color)>,
+    ) -> RecordingStreamResult<()> {
+        let here = marked.map(|(place, _)| place).or(self.here).filter(|here| self.is_drawable(here));
+        let steps = step.saturating_sub(self.drawn_at);
+        let is_due = self.has_grown && steps >= PATIENCE_STEPS || steps >= MOST_STEPS;
+        let is_out_of_sight = here.is_some_and(|here| self.shown.binary_search(&here).is_err());
         if !self.is_annotated && !self.places.is_empty() {
             self.is_annotated = true;
             self.annotate(stream)?;
         }
         if self.is_new || is_due || is_out_of_sight {
             self.draw(stream, here)?;
-            (self.is_new, self.has_grown, self.drawn_at) = (false, false, record.frame.index);
+            (self.is_new, self.has_grown, self.drawn_at) = (false, false, step);
         }
         self.here = here;
-        if let Some(position) = here.and_then(|here| self.layout.position(here)) {
-            let ring = Points2D::new([position])
-                .with_radii([Radius::new_ui_points(9.0)])
-                .with_colors([style::colour(record.recognition.decision)])
-                .with_draw_order(style::BELOW_PLACES);
-            stream.log(style::HERE, &ring)?;
-        }
-        record.frame.pose.map_or(Ok(()), |pose| self.trajectory.show(stream, &pose))
+        let marked = marked.and_then(|(place, colour)| Some((self.position(place)?, colour)));
+        let Some((position, colour)) = marked else {
+            return if mem::take(&mut self.is_marked) {
+                stream.log(style::HERE, &Clear::flat())
+            } else {
+                Ok(())
+            };
+        };
+        self.is_marked = true;
+        let disc = Points2D::new([position])
+            .with_radii([Radius::new_ui_points(9.0)])
+            .with_colors([colour])
+            .with_draw_order(style::BELOW_PLACES);
+        stream.log(style::HERE, &disc)
     }
 
     /// Names and colours of places, for good: places are named between runs.
@@ -110,21 +145,33 @@ impl PlaceGraph {
         let annotated: BTreeSet<u32> = (0..ANNOTATED).chain(named).collect();
         let annotations = annotated.into_iter().filter_map(|id| u16::try_from(id).ok()).map(|id| {
             let name = self.places.get(&PlaceId(id.into())).and_then(|place| place.name.as_deref());
-            let label = name.map_or_else(|| format!("place {id}"), shortened);
+            let label = name.map_or_else(|| format!("place {id}"), written);
             AnnotationInfo { id, label: Some(label.into()), color: Some(style::place_colour(id).0) }
         });
         stream.log_static(style::MAP, &AnnotationContext::new(annotations.collect::<Vec<_>>()))
     }
 
+    /// Whether a place may be drawn. Where positions are known, places that have none do not lie in the same plane.
+    fn is_drawable(&self, place: &PlaceId) -> bool {
+        self.places.contains_key(place) && (self.seen_at.is_empty() || self.seen_at.contains_key(place))
+    }
+
+    /// Where a place is drawn, if it is.
+    fn position(&self, place: PlaceId) -> Option<[f32; 2]> {
+        if self.seen_at.is_empty() { self.layout.position(place) } else { self.seen_at.get(&place).copied() }
+    }
+
     fn draw(&mut self, stream: &RecordingStream, here: Option<PlaceId>) -> RecordingStreamResult<()> {
         let shown: Vec<PlaceId> = self.around(here).into_iter().collect();
         let edges = self.edges(&shown);
-        self.layout.settle(&shown, &edges, &self.seen_at);
+        if self.seen_at.is_empty() {
+            self.layout.settle(&shown, &edges);
+        }
         let sketches = || shown.iter().filter_map(|place| self.places.get(place));
-        let at = |place: PlaceId| self.layout.position(place).unwrap_or_default();
+        let at = |place: PlaceId| self.position(place).unwrap_or_default();
         let nodes = Points2D::new(sketches().map(|place| at(place.id)))
             .with_radii(sketches().map(radius))
-            .with_class_ids(sketches().map(|place| style::class(place.id)))
+            .with_class_ids(sketches().map(class))
             .with_labels(sketches().map(|place| label(place, shown.len())))
             .with_show_labels(true)
             .with_draw_order(style::PLACES_ORDER);
@@ -139,20 +186,20 @@ impl PlaceGraph {
                 .with_draw_order(style::BELOW_PLACES - 1.0);
             stream.log(path, &lines)?;
         }
+        self.shown = shown;
         Ok(())
     }
 
     /// The places that are fewest steps from `here`; where that is nowhere, those that are newest.
     fn around(&self, here: Option<PlaceId>) -> BTreeSet<PlaceId> {
         let mut found = BTreeSet::new();
-        let mut next: VecDeque<PlaceId> =
-            here.filter(|here| self.places.contains_key(here)).into_iter().collect();
-        let mut newest = self.places.keys().rev();
-        while found.len() < MOST_SHOWN.min(self.places.len()) {
+        let mut next: VecDeque<PlaceId> = here.into_iter().filter(|here| self.is_drawable(here)).collect();
+        let mut newest = self.places.keys().rev().filter(|place| self.is_drawable(place));
+        while found.len() < MOST_SHOWN {
             let Some(place) = next.pop_front().or_else(|| newest.next().copied()) else { break };
             if found.insert(place) {
                 let neighbours = self.places.get(&place).into_iter().flat_map(|place| &place.neighbours);
-                next.extend(neighbours.filter(|neighbour| self.places.contains_key(neighbour)));
+                next.extend(neighbours.filter(|neighbour| self.is_drawable(neighbour)));
             }
         }
         found
@@ -175,16 +222,25 @@ fn radius(place: &PlaceSketch) -> Radius {
     Radius::new_ui_points(2.0 + 0.6 * (place.experiences.min(100) as f32).sqrt())
 }
 
+/// The class by which a place has its colour: its own, or beyond those that have one, that of a place of the same
+/// colour.
+fn class(place: &PlaceSketch) -> u16 {
+    let has_own = place.id.0 < ANNOTATED || place.name.is_some();
+    let own = u16::try_from(place.id.0).ok().filter(|_| has_own);
+    own.unwrap_or((place.id.0 % style::PLACE_COLOURS) as u16)
+}
+
 /// Its name, or its number where there is room for it.
 fn label(place: &PlaceSketch, shown: usize) -> String {
     match &place.name {
-        Some(name) => shortened(name),
+        Some(name) => written(name),
         None if shown <= MOST_NUMBERED => place.id.0.to_string(),
         None => String::new(),
     }
 }
 
-fn shortened(name: &str) -> String {
+/// A name from outside, as it is written on a place.
+fn written(name: &str) -> String {
     one_line(name).chars().take(MAX_NAME).collect()
 }
 
@@ -217,6 +273,25 @@ mod tests {
         assert_eq!(around.len(), MOST_SHOWN);
         assert!(around.contains(&PlaceId(0)) && around.contains(&PlaceId(999)));
         assert!(!around.contains(&PlaceId(500)), "{around:?}");
+    }
+
+    #[test]
+    fn where_positions_are_known_only_places_that_have_one_are_drawn() {
+        let mut graph = way(5);
+        let pose = |x| Pose { position_metres: [x, 5e6, 0.0], orientation: Pose::UPRIGHT };
+        graph.put(PlaceId(1), &pose(100.0));
+        graph.put(PlaceId(3), &pose(130.0));
+        assert_eq!(graph.around(Some(PlaceId(4))), BTreeSet::from([1, 3].map(PlaceId)));
+        assert_eq!(graph.position(PlaceId(3)), Some([30.0, 0.0]));
+        assert_eq!(graph.position(PlaceId(4)), None);
+    }
+
+    #[test]
+    fn every_place_has_a_colour_of_ours() {
+        let named = PlaceSketch { name: Some("dock".into()), ..sketch(3000, &[]) };
+        let classes =
+            [sketch(7, &[]), sketch(3000, &[]), named, sketch(70_000, &[])].map(|place| class(&place));
+        assert_eq!(classes, [7, 4, 3000, 0]);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //! `run-000002.rrd`, … Numbers go on after those that earlier runs left, and the oldest files are removed where only so
 //! many are to be kept.
 
-use std::fs;
+use std::fs::{self, File};
 use std::io;
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -50,17 +50,30 @@ impl Files {
         Ok(Self { named: named.to_owned(), most, number })
     }
 
-    /// The next file, for which the oldest make room where they have to.
+    /// The next file, which is claimed by that: two runs never write the same one. The oldest files make room where
+    /// they have to; one that cannot be removed stays.
     pub(super) fn next(&mut self) -> io::Result<PathBuf> {
-        self.number += 1;
-        if let Some(most) = self.most {
-            let numbers = numbers(&self.named)?;
-            let too_many = (numbers.len() + 1).saturating_sub(most);
-            for number in &numbers[..too_many.min(numbers.len())] {
-                fs::remove_file(numbered(&self.named, *number))?;
+        loop {
+            self.number = self.number.checked_add(1).ok_or(io::ErrorKind::AlreadyExists)?;
+            let path = numbered(&self.named, self.number);
+            match File::create_new(&path) {
+                Ok(_) => {
+                    self.make_room()?;
+                    return Ok(path);
+                }
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+                Err(error) => return Err(error),
             }
         }
-        Ok(numbered(&self.named, self.number))
+    }
+
+    fn make_room(&self) -> io::Result<()> {
+        let Some(most) = self.most else { return Ok(()) };
+        let numbers = numbers(&self.named)?;
+        for number in &numbers[..numbers.len().saturating_sub(most)] {
+            let _ = fs::remove_file(numbered(&self.named, *number));
+        }
+        Ok(())
     }
 }
 
@@ -72,14 +85,15 @@ fn numbered(named: &Path, number: u64) -> PathBuf {
 /// The numbers of the files that are there, rising.
 fn numbers(named: &Path) -> io::Result<Vec<u64>> {
     let folder = named.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let stem = named.file_stem().unwrap_or_default().to_string_lossy();
     let mut numbers = Vec::new();
     for entry in fs::read_dir(folder)? {
-        let name = entry?.file_name();
-        let stem = named.file_stem().unwrap_or_default().to_string_lossy();
-        let digits =
-            name.to_str().and_then(|name| name.strip_prefix(&*stem)?.strip_prefix('-')?.strip_suffix(".rrd"));
-        let is_ours = |digits: &&str| digits.len() >= 6 && digits.bytes().all(|byte| byte.is_ascii_digit());
-        numbers.extend(digits.filter(is_ours).and_then(|digits| digits.parse::<u64>().ok()));
+        let path = folder.join(entry?.file_name());
+        let name = path.file_name().and_then(|name| name.to_str());
+        let digits = name.and_then(|name| name.strip_prefix(&*stem)?.strip_prefix('-')?.strip_suffix(".rrd"));
+        let number = digits.and_then(|digits| digits.parse::<u64>().ok());
+        // Others may be called much the same.
+        numbers.extend(number.filter(|number| numbered(named, *number).file_name() == path.file_name()));
     }
     numbers.sort_unstable();
     Ok(numbers)
@@ -110,16 +124,20 @@ mod tests {
     fn numbers_go_on_and_only_the_newest_files_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let named = folder.path().join("run.rrd");
-        for other in
-            ["run-000007.rrd", "run-000003.rrd", "run.rrd", "run-1.rrd", "run-00000x.rrd", "other-000009.rrd"]
-        {
+        for other in [
+            "run-000007.rrd",
+            "run-000003.rrd",
+            "run.rrd",
+            "run-1.rrd",
+            "run-0000008.rrd",
+            "other-000009.rrd",
+        ] {
             fs::write(folder.path().join(other), "x").unwrap();
         }
         let mut files = Files::of(&named, rotation(1, 0, 2)).unwrap();
         for number in [8, 9, 10] {
             let next = files.next().unwrap();
             assert_eq!(next, folder.path().join(format!("run-{number:06}.rrd")));
-            fs::write(next, "x").unwrap();
         }
         assert_eq!(numbers(&named).unwrap(), [9, 10]);
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 6, "those of others stay");
@@ -130,7 +148,19 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let named = folder.path().join("run.rrd");
         let mut files = Files::of(&named, rotation(1, 0, 0)).unwrap();
-        (0..5).for_each(|_| fs::write(files.next().unwrap(), "x").unwrap());
+        (0..5).for_each(|_| drop(files.next().unwrap()));
         assert_eq!(numbers(&named).unwrap(), [1, 2, 3, 4, 5]);
+    }
+
+    #[test]
+    fn two_runs_of_the_same_name_write_no_file_twice_and_what_cannot_be_removed_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let named = folder.path().join("run.rrd");
+        fs::create_dir(folder.path().join("run-000001.rrd")).unwrap();
+        let mut runs = [(); 2].map(|()| Files::of(&named, rotation(1, 0, 3)).unwrap());
+        let written: Vec<PathBuf> = (0..4).map(|turn| runs[turn % 2].next().unwrap()).collect();
+        let expected = [2, 3, 4, 5].map(|number| folder.path().join(format!("run-{number:06}.rrd")));
+        assert_eq!(written, expected);
+        assert_eq!(numbers(&named).unwrap(), [1, 3, 4, 5]);
     }
 }

@@ -4,22 +4,23 @@
 //! that lines can join what corresponds.
 
 use ::rerun::{
-    AsComponents, Boxes2D, Clear, Color, EncodedImage, Image, LineStrips2D, PixelFormat, Points2D, Radius,
-    RecordingStream, RecordingStreamResult, Transform3D,
+    Boxes2D, Clear, Color, Image, LineStrips2D, PixelFormat, Points2D, Radius, RecordingStream,
+    RecordingStreamResult, Transform3D,
 };
 
+use super::pictures::{Area, Pictures};
 use super::{RerunDetail, blueprint, jpeg, style};
 use crate::codec;
 use crate::frame::Frame;
 use crate::geometry::Point;
 use crate::raster::{GreyImage, RgbImage};
-use crate::telemetry::{FrameRecord, MatchedKeyframe};
+use crate::recognition::MatchedKeyframe;
+use crate::telemetry::FrameRecord;
 use crate::verification::{Correspondence, Verification};
 
 /// Space between frame and keyframe, as a share of the frame's width.
 const GAP: f32 = 0.03;
 
-const UNDER: f32 = -10.0;
 const OVER: f32 = 30.0;
 
 /// What of the pictures is on show already.
@@ -28,12 +29,15 @@ pub(super) struct Scene {
     /// Width and height of the frames.
     size_px: Option<(usize, usize)>,
     shows_match: bool,
+    camera: Pictures,
+    keyframe: Pictures,
 }
 
 impl Scene {
     /// A scene of which nothing is on show.
     pub(super) fn new(detail: RerunDetail) -> Self {
-        Self { detail, size_px: None, shows_match: false }
+        let (camera, keyframe) = (Pictures::new(style::CAMERA_IMAGE), Pictures::new(style::KEYFRAME_IMAGE));
+        Self { detail, size_px: None, shows_match: false, camera, keyframe }
     }
 
     /// Shows the pictures of `record`.
@@ -55,33 +59,41 @@ impl Scene {
         match record.matched.as_ref().and_then(|matched| Placement::new(frame, matched)) {
             Some(placement) => {
                 self.shows_match = true;
-                placement.show(stream, record)
+                placement.show(stream, record, &mut self.keyframe)
             }
-            None if std::mem::take(&mut self.shows_match) => stream.log(style::MATCH, &Clear::recursive()),
+            None if std::mem::take(&mut self.shows_match) => {
+                for drawn in [style::LINES, style::FRAME_INLIERS, style::KEYFRAME_INLIERS] {
+                    stream.log(drawn, &Clear::flat())?;
+                }
+                self.keyframe.hide(stream)
+            }
             None => Ok(()),
         }
     }
 
-    fn show_camera(&self, stream: &RecordingStream, frame: &Frame) -> RecordingStreamResult<()> {
-        let image = match (self.detail, &frame.jpeg) {
-            (RerunDetail::Lean, _) => return self.show_small(stream, frame),
-            (_, Some(bytes)) => encoded(bytes),
-            (RerunDetail::Normal, None) => encoded(&codec::jpeg(&frame.colour)),
-            (RerunDetail::Full, None) => {
-                return stream.log(style::CAMERA_IMAGE, &raw(&frame.colour, &frame.grey));
+    fn show_camera(&mut self, stream: &RecordingStream, frame: &Frame) -> RecordingStreamResult<()> {
+        match (self.detail, &frame.jpeg) {
+            (RerunDetail::Lean, _) => self.show_small(stream, frame),
+            (_, Some(bytes)) if jpeg::kind(bytes).is_some() => {
+                self.camera.show_jpeg(stream, bytes, Area::PLAIN)
             }
-        };
-        stream.log(style::CAMERA_IMAGE, &image)
+            (RerunDetail::Normal, _) => {
+                self.camera.show_jpeg(stream, &codec::jpeg(&frame.colour), Area::PLAIN)
+            }
+            (RerunDetail::Full, _) => {
+                let size_px = [frame.colour.width() as f32, frame.colour.height() as f32];
+                self.camera.show_raw(stream, raw(&frame.colour, &frame.grey), size_px)
+            }
+        }
     }
 
     /// The picture, small, in the place of the large one.
-    fn show_small(&self, stream: &RecordingStream, frame: &Frame) -> RecordingStreamResult<()> {
+    fn show_small(&mut self, stream: &RecordingStream, frame: &Frame) -> RecordingStreamResult<()> {
         let small = codec::thumbnail_jpeg(&frame.colour);
         let Some((width, height)) = jpeg::size_px(&small) else { return Ok(()) };
         let (full_width, full_height) = (frame.colour.width() as f32, frame.colour.height() as f32);
-        let scale = [full_width / f32::from(width), full_height / f32::from(height), 1.0];
-        let enlarged = Transform3D::from_scale(scale);
-        stream.log(style::CAMERA_IMAGE, &[&enlarged as &dyn AsComponents, &encoded(&small)])
+        let scale = [full_width / f32::from(width), full_height / f32::from(height)];
+        self.camera.show_jpeg(stream, &small, Area { scale, ..Area::PLAIN })
     }
 
     /// Sends the layout when the first frame tells its size, and outlines frame and keyframe for good.
@@ -93,12 +105,13 @@ impl Scene {
         }
         let (width, height) = (size_px.0 as f32, size_px.1 as f32);
         if is_first {
-            blueprint::send(stream, [width, offset_px(width) + width], height)?;
+            let widths = [width, offset_px(width) + width];
+            blueprint::send(stream, |layout| layout.run(self.detail, widths, height))?;
         }
         let boxes = Boxes2D::from_mins_and_sizes([[0.0, 0.0], [offset_px(width), 0.0]], [[width, height]; 2])
             .with_colors([style::FAINT])
             .with_radii([Radius::new_ui_points(0.5)])
-            .with_draw_order(UNDER - 1.0);
+            .with_draw_order(style::OUTLINES_ORDER);
         stream.log_static(style::OUTLINES, &boxes)
     }
 }
@@ -128,14 +141,17 @@ impl<'a> Placement<'a> {
         })
     }
 
-    fn show(&self, stream: &RecordingStream, record: &FrameRecord) -> RecordingStreamResult<()> {
+    fn show(
+        &self,
+        stream: &RecordingStream,
+        record: &FrameRecord,
+        keyframe: &mut Pictures,
+    ) -> RecordingStreamResult<()> {
         let space = Transform3D::from_translation([self.offset_px, 0.0, 0.0])
             .with_scale([self.scale, self.scale, 1.0]);
         stream.log(style::KEYFRAME, &space)?;
-        let [x, y] = self.thumbnail_scale;
-        let thumbnail = encoded(&self.matched.thumbnail_jpeg).with_draw_order(UNDER);
-        let enlarged = Transform3D::from_scale([x, y, 1.0]);
-        stream.log(style::KEYFRAME_IMAGE, &[&enlarged as &dyn AsComponents, &thumbnail])?;
+        let area = Area { scale: self.thumbnail_scale, ..Area::PLAIN };
+        keyframe.show_jpeg(stream, &self.matched.thumbnail_jpeg, area)?;
         let none = Verification::default();
         let verification = record.recognition.verification.as_ref().unwrap_or(&none);
         let inliers: Vec<&Correspondence> = inliers(verification).collect();
@@ -174,22 +190,17 @@ fn dots(places: impl Iterator<Item = [f32; 2]>, colour: Color) -> Points2D {
         .with_draw_order(OVER + 1.0)
 }
 
-fn encoded(jpeg: &[u8]) -> EncodedImage {
-    EncodedImage::new(jpeg).with_media_type("image/jpeg").with_draw_order(UNDER)
-}
-
 /// A picture without a JPEG, in half the bytes of its pixels: luma, and chroma of every second pixel of
 /// every second row (NV12, ITU-R BT.601). An odd side keeps it as it is.
 pub(super) fn raw(colour: &RgbImage, grey: &GreyImage) -> Image {
     let (width, height) = (colour.width(), colour.height());
     let size = [width as u32, height as u32];
     let is_even = width.is_multiple_of(2) && height.is_multiple_of(2);
-    let image = if is_even && (grey.width(), grey.height()) == (width, height) {
+    if is_even && (grey.width(), grey.height()) == (width, height) {
         Image::from_pixel_format(size, PixelFormat::NV12, nv12(colour, grey))
     } else {
         Image::from_rgb24(colour.pixels(), size)
-    };
-    image.with_draw_order(UNDER)
+    }
 }
 
 /// 4:2:0 chroma, interleaved, after full luma.

@@ -5,7 +5,6 @@
 //! which the greater value stays; so the whole run is always in sight.
 
 use std::collections::HashMap;
-use std::mem;
 
 use ::rerun::components::Colormap;
 use ::rerun::datatypes::ChannelDatatype;
@@ -20,6 +19,8 @@ const MOST_COLUMNS: usize = 512;
 /// So many columns are shown as soon as they are there, later ones in groups: every picture is logged whole.
 const SHOWN_AT_ONCE: usize = 64;
 const GROUP: usize = 8;
+/// Frames after which the picture is shown in any case.
+const PATIENCE_FRAMES: u64 = 300;
 
 /// The picture so far.
 #[derive(Default)]
@@ -32,7 +33,8 @@ pub(super) struct SimilarityPicture {
     column_folds: u32,
     /// Frames in the last column.
     in_last: usize,
-    is_out_of_sight: bool,
+    /// Frames since the picture was shown.
+    unshown: u64,
 }
 
 /// What frames that share a column have in common.
@@ -80,14 +82,19 @@ impl SimilarityPicture {
             *value = level(*similarity).max(*value);
         }
         self.push(frame);
-        let is_due = self.in_last == 1 << self.column_folds
+        self.unshown += 1;
+        let is_whole = self.in_last == 1 << self.column_folds
             && (self.columns.len() <= SHOWN_AT_ONCE || self.columns.len().is_multiple_of(GROUP));
-        is_due || mem::take(&mut self.is_out_of_sight)
+        let is_due = is_whole || self.unshown >= PATIENCE_FRAMES;
+        if is_due {
+            self.unshown = 0;
+        }
+        is_due
     }
 
     /// Nothing of the picture is on show any more.
     pub(super) fn begin_anew(&mut self) {
-        self.is_out_of_sight = true;
+        self.unshown = PATIENCE_FRAMES;
     }
 
     /// The row of a keyframe, were no rows folded; then there is room for it.

@@ -5,7 +5,6 @@
 
 use ::rerun::{Color, Rgba32};
 
-use crate::place_map::PlaceId;
 use crate::recognition::Decision;
 
 /// The frame as it came from the camera.
@@ -13,8 +12,6 @@ pub(super) const CAMERA_IMAGE: &str = "camera/image";
 /// Its ORB keypoints.
 pub(super) const KEYPOINTS: &str = "camera/image/keypoints";
 
-/// All of what a match shows; cleared when there is none.
-pub(super) const MATCH: &str = "match/now";
 /// Inliers in the frame.
 pub(super) const FRAME_INLIERS: &str = "match/now/frame_inliers";
 /// From each inlier of the frame to its counterpart in the keyframe.
@@ -47,9 +44,9 @@ pub(super) const LOG: &str = "recognition/log";
 pub(super) const MAP: &str = "map";
 /// The places.
 pub(super) const PLACES: &str = "map/places";
-/// From each place to the one that was founded after it.
+/// Between places whose numbers follow each other: they were founded one after the other.
 pub(super) const SUCCESSIONS: &str = "map/successions";
-/// Between places that follow each other otherwise: where the robot came back.
+/// Between other places that follow each other on a way: mostly where the robot came back.
 pub(super) const REVISITS: &str = "map/revisits";
 /// The place that the robot is in.
 pub(super) const HERE: &str = "map/here";
@@ -57,9 +54,32 @@ pub(super) const HERE: &str = "map/here";
 pub(super) const ROBOT: &str = "map/robot";
 /// Where the robot was, where something told.
 pub(super) const TRAJECTORY: &str = "map/trajectory";
+/// The pictures of a place, in a review.
+pub(super) const GALLERY: &str = "gallery";
+/// What is counted of places, in a review.
+pub(super) const COUNTS: &str = "counts";
+/// Experiences of a place.
+pub(super) const SIZE: &str = "counts/experiences";
+/// Keyframes of a place.
+pub(super) const KEYFRAMES: &str = "counts/keyframes";
+/// In which light places are known, in a review.
+pub(super) const LIGHT: &str = "light";
+/// The least mean luminance of a place.
+pub(super) const DARKEST: &str = "light/darkest";
+/// The greatest mean luminance of a place.
+pub(super) const BRIGHTEST: &str = "light/brightest";
+/// All of an experience, in a review.
+pub(super) const EXPERIENCE: &str = "experience";
+/// Its picture.
+pub(super) const EXPERIENCE_IMAGE: &str = "experience/image";
+/// Its place.
+pub(super) const EXPERIENCE_PLACE: &str = "experience/place";
+
+/// Outlines lie above pictures, and below all else that is drawn on them.
+pub(super) const OUTLINES_ORDER: f32 = -10.0;
 /// Places lie above the edges between them.
 pub(super) const PLACES_ORDER: f32 = 40.0;
-/// The robot's place has a ring around it.
+/// The robot's place has a disc behind it.
 pub(super) const BELOW_PLACES: f32 = 39.0;
 
 /// Stages with the paths of their latencies and colours.
@@ -126,14 +146,13 @@ pub(super) fn colour(decision: Decision) -> Color {
     }
 }
 
+/// Colours that places have in turn.
+pub(super) const PLACE_COLOURS: u32 = 7;
+
 /// The colour of a place; few of them are to be told apart at a time.
 pub(super) fn place_colour(place: u16) -> Color {
-    [BLUE, GREEN, YELLOW, ORANGE, PURPLE, VERMILION, GREY][usize::from(place % 7)]
-}
-
-/// The class of a place, by which it has its colour; of those that there is no room for, the last one.
-pub(super) fn class(place: PlaceId) -> u16 {
-    u16::try_from(place.0).unwrap_or(u16::MAX)
+    let colours: [Color; PLACE_COLOURS as usize] = [BLUE, GREEN, YELLOW, ORANGE, PURPLE, VERMILION, GREY];
+    colours[usize::from(place) % colours.len()]
 }
 
 /// Where the answers of frames with this decision lie in the picture of similarities.

@@ -9,7 +9,7 @@
 use std::fmt;
 use std::iter;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::rotation::Rotation;
@@ -60,6 +60,30 @@ impl FromStr for RerunTarget {
         };
         parsed.map_err(|reason| TelemetryError::Rerun { target: format!("'{}'", one_line(given)), reason })
     }
+}
+
+impl RerunTarget {
+    /// Whether both would write the same files, or one show to itself what the other serves.
+    #[must_use]
+    pub fn clashes_with(&self, other: &Self) -> bool {
+        let own = |address: &SocketAddr| [Self::Spawn, Self::Connect(address.to_string())];
+        let is_spawned = |address: &SocketAddr| address.port() == DEFAULT_PORT;
+        match (self, other) {
+            (Self::Save(one, _), Self::Save(two, _)) => whole(one) == whole(two),
+            (Self::Serve(address), shown) | (shown, Self::Serve(address)) => {
+                let is_own = own(address).contains(shown) && (*shown != Self::Spawn || is_spawned(address));
+                is_own || self == other
+            }
+            _ => self == other,
+        }
+    }
+}
+
+/// The path of a file that may not be there yet, whatever leads to it.
+fn whole(file: &Path) -> PathBuf {
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    folder.join(file.file_name().unwrap_or_default())
 }
 
 /// As it is written on the command line.
@@ -205,6 +229,27 @@ mod tests {
             "save=run.rrd?minutes=60&files=2",
         ] {
             assert_eq!(parsed(text).to_string(), text);
+        }
+    }
+
+    #[test]
+    fn targets_that_write_the_same_or_show_each_other_clash() {
+        for (one, other) in [
+            ("spawn", "spawn"),
+            ("save=a.rrd", "save=./a.rrd"),
+            ("save=a.rrd?mib=5", "save=a.rrd?mib=6"),
+            ("serve", "spawn"),
+            ("connect", "serve"),
+        ] {
+            assert!(
+                parsed(one).clashes_with(&parsed(other)) && parsed(other).clashes_with(&parsed(one)),
+                "{one}"
+            );
+        }
+        for (one, other) in
+            [("save=a.rrd", "save=b.rrd"), ("serve=0.0.0.0:9000", "spawn"), ("spawn", "save=a.rrd")]
+        {
+            assert!(!parsed(one).clashes_with(&parsed(other)), "{one} {other}");
         }
     }
 

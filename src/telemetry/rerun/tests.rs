@@ -1,6 +1,6 @@
 //! Recordings are read back with rerun's own decoder.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::BufReader;
 use std::net::TcpListener;
@@ -12,6 +12,7 @@ use std::time::Instant;
 use ::rerun::external::re_log_encoding::DecoderApp;
 use ::rerun::log::{Chunk, LogMsg};
 
+use super::clock::{FRAME_TIMELINE, TIME_TIMELINE};
 use super::*;
 use crate::feature::{Features, Keypoint};
 use crate::frame::{Frame, Pose};
@@ -20,9 +21,10 @@ use crate::kernel::luma;
 use crate::place_map::{ExperienceId, PlaceId};
 use crate::raster::RgbImage;
 use crate::recognition::{
-    Candidate, Candidates, Decision, Evidence, Grounds, Insight, Look, PlaceSketch, Recognition, Rejection,
+    Candidate, Candidates, Decision, Evidence, Grounds, Insight, Look, MatchedKeyframe, PlaceSketch,
+    Recognition, Rejection,
 };
-use crate::telemetry::{CnnStatus, Flow, Losses, MatchedKeyframe, StageLatency};
+use crate::telemetry::{CnnStatus, Flow, Losses, StageLatency};
 use crate::verification::{Correspondence, Verification};
 
 /// The header of a JPEG of 64×48 pixels, which is all that the sink looks at.
@@ -140,7 +142,7 @@ fn recorded_in(detail: RerunDetail, records: &[FrameRecord]) -> BTreeMap<String,
     chunks_of(&file)
 }
 
-fn chunks_of(file: &Path) -> BTreeMap<String, Vec<Chunk>> {
+pub(super) fn chunks_of(file: &Path) -> BTreeMap<String, Vec<Chunk>> {
     let mut chunks: BTreeMap<String, Vec<Chunk>> = BTreeMap::new();
     for message in DecoderApp::decode_eager(BufReader::new(File::open(file).unwrap())).unwrap() {
         if let LogMsg::ArrowMsg(store, message) = message.unwrap()
@@ -153,7 +155,7 @@ fn chunks_of(file: &Path) -> BTreeMap<String, Vec<Chunk>> {
     chunks
 }
 
-fn rows(chunks: &BTreeMap<String, Vec<Chunk>>, path: &str) -> usize {
+pub(super) fn rows(chunks: &BTreeMap<String, Vec<Chunk>>, path: &str) -> usize {
     chunks
         .get(&format!("/{path}"))
         .into_iter()
@@ -164,7 +166,7 @@ fn rows(chunks: &BTreeMap<String, Vec<Chunk>>, path: &str) -> usize {
 }
 
 /// All values of a component of `path`, as text.
-fn values(chunks: &BTreeMap<String, Vec<Chunk>>, path: &str, component: &str) -> String {
+pub(super) fn values(chunks: &BTreeMap<String, Vec<Chunk>>, path: &str, component: &str) -> String {
     let of_path = chunks.get(&format!("/{path}")).into_iter().flatten();
     let columns = of_path.flat_map(|chunk| chunk.components().iter());
     columns
@@ -228,10 +230,15 @@ fn a_match_is_cleared_when_the_next_frame_has_none_and_only_then() {
         record(3, Decision::Unknown),
         record(4, Decision::Unknown),
     ]);
-    assert_eq!(rows(&chunks, style::KEYFRAME_IMAGE), 2);
-    assert_eq!(rows(&chunks, style::MATCH), 1);
-    let cleared = &chunks[&format!("/{}", style::MATCH)][0];
-    assert_eq!(cleared.timelines()[&FRAME_TIMELINE.into()].times_raw(), [3]);
+    let times = |path: &str| {
+        let of_chunk = |chunk: &Chunk| chunk.timelines()[&FRAME_TIMELINE.into()].times_raw().to_vec();
+        chunks[&format!("/{path}")].iter().flat_map(of_chunk).collect::<BTreeSet<_>>()
+    };
+    assert_eq!(times(style::KEYFRAME_IMAGE), BTreeSet::from([1, 2]));
+    assert_eq!(times("match/now/keyframe/images/cover"), BTreeSet::from([3]));
+    for drawn in [style::LINES, style::FRAME_INLIERS, style::KEYFRAME_INLIERS] {
+        assert_eq!(times(drawn), BTreeSet::from([1, 2, 3]), "{drawn}");
+    }
 }
 
 #[test]
@@ -307,7 +314,7 @@ fn map_belief_and_similarities_are_shown_and_places_have_their_colours_for_good(
     let chunks = recorded(&[insightful(0, 0), insightful(1, 1), insightful(2, 1)]);
     assert_eq!(rows(&chunks, style::BELIEF), 3);
     let bars = values(&chunks, style::BELIEF, "BarChart:abscissa");
-    assert!(bars.contains("-1") && bars.contains('1'), "{bars}");
+    assert!(bars.contains("-2") && bars.contains("-1") && bars.contains('1'), "{bars}");
     assert_eq!(rows(&chunks, style::SIMILARITY), 3);
     // The third frame brings neither a place nor an edge.
     assert_eq!((rows(&chunks, style::PLACES), rows(&chunks, style::HERE)), (2, 3));
@@ -328,7 +335,7 @@ fn where_something_tells_the_position_the_way_is_drawn_and_places_lie_on_it() {
     let chunks = recorded(&[posed(0, 250.0), posed(1, 260.0)]);
     assert_eq!((rows(&chunks, style::ROBOT), rows(&chunks, style::TRAJECTORY)), (2, 1));
     let places = values(&chunks, style::PLACES, "Points2D:positions");
-    assert!(places.contains("250.0") && places.contains("-5.0"), "{places}");
+    assert!(places.contains("0.0") && places.contains("10.0") && !places.contains("250"), "{places}");
 }
 
 #[test]
