@@ -7,7 +7,13 @@ use std::path::{Path, PathBuf};
 use ::rerun::sink::FileSinkError;
 use ::rerun::{RecordingStream, RecordingStreamBuilder, RecordingStreamError};
 
+use super::MAX_WRITING;
 use super::rotation::{Files, Rotation};
+
+/// Waits until the disk has what was logged.
+pub(super) fn written(stream: &RecordingStream) -> Result<(), String> {
+    stream.flush_with_timeout(MAX_WRITING).map_err(|error| format!("{error}; is the disk full?"))
+}
 
 /// The file that is written, and those that come after it.
 pub(super) struct RecordingFile {

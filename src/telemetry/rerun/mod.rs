@@ -135,7 +135,7 @@ impl RerunSink {
     /// Closes the recording; whatever is recorded afterwards is shown to nobody.
     fn close(&mut self) -> Result<(), String> {
         let stream = mem::replace(&mut self.stream, RecordingStream::disabled());
-        let flushed = stream.flush_with_timeout(MAX_WRITING);
+        let flushed = file::written(&stream);
         drop(stream);
         if let Some(live) = self.live.take() {
             return if live.close() {
@@ -145,7 +145,7 @@ impl RerunSink {
             };
         }
         let Some(file) = &self.file else { return Ok(()) };
-        flushed.map_err(|error| format!("{error}; is the disk full?"))?;
+        flushed?;
         file.check_end()
     }
 

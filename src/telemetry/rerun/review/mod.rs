@@ -18,7 +18,7 @@ use ::rerun::{RecordingStream, RecordingStreamError};
 use super::file::RecordingFile;
 use super::place_graph::PlaceGraph;
 use super::rotation::Rotation;
-use super::{MAX_WRITING, one_line};
+use super::{file, one_line};
 use crate::place_map::{MapError, PlaceMap};
 use crate::recognition::{Insight, PlaceSketch};
 
@@ -72,19 +72,19 @@ impl From<MapError> for Failure {
     }
 }
 
-/// Has `write` log a recording that takes the place of `file` when it is whole.
+/// Has `write` log a recording that takes the place of the file at `path` when it is whole.
 fn recorded<T>(
-    file: &Path,
+    path: &Path,
     write: impl FnOnce(RecordingStream) -> Result<T, Failure>,
 ) -> Result<T, ReviewError> {
-    if file.is_dir() {
+    if path.is_dir() {
         let reason = "that is a folder; name a file in it".to_owned();
-        return Err(ReviewError::Recording { path: file.display().to_string(), reason });
+        return Err(ReviewError::Recording { path: path.display().to_string(), reason });
     }
     // What is not whole never has the name.
-    let part = file.with_extension("rrd.part");
+    let part = path.with_extension("rrd.part");
     let written = record(&part, write).and_then(|written| {
-        fs::rename(&part, file).map_err(|error| Failure::File(error.to_string()))?;
+        fs::rename(&part, path).map_err(|error| Failure::File(error.to_string()))?;
         Ok(written)
     });
     written.map_err(|failure| {
@@ -92,7 +92,7 @@ fn recorded<T>(
         match failure {
             Failure::Review(error) => error,
             Failure::File(reason) => {
-                ReviewError::Recording { path: file.display().to_string(), reason: one_line(&reason) }
+                ReviewError::Recording { path: path.display().to_string(), reason: one_line(&reason) }
             }
         }
     })
@@ -104,21 +104,16 @@ fn record<T>(part: &Path, write: impl FnOnce(RecordingStream) -> Result<T, Failu
     stream.set_log_time_enabled(false);
     stream.set_log_tick_enabled(false);
     let written = write(stream.clone())?;
-    let flushed = stream.flush_with_timeout(MAX_WRITING);
+    let flushed = file::written(&stream);
     drop(stream);
-    flushed.map_err(|error| Failure::File(format!("{error}; is the disk full?")))?;
+    flushed.map_err(Failure::File)?;
     recording.check_end().map_err(Failure::File)?;
     Ok(written)
 }
 
 /// Waits for the disk now and then, so that no more is held back than it takes in a while, and a full one is noticed.
 fn settle(stream: &RecordingStream, shown: usize) -> Result<(), Failure> {
-    if !shown.is_multiple_of(SETTLED_AFTER) {
-        return Ok(());
-    }
-    stream
-        .flush_with_timeout(MAX_WRITING)
-        .map_err(|error| Failure::File(format!("{error}; is the disk full?")))
+    if shown.is_multiple_of(SETTLED_AFTER) { file::written(stream).map_err(Failure::File) } else { Ok(()) }
 }
 
 /// What was read, or nothing where it is damaged.
