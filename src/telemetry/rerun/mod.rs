@@ -27,6 +27,8 @@ mod told;
 mod trajectory;
 
 #[cfg(test)]
+mod target_tests;
+#[cfg(test)]
 mod tests;
 
 pub use detail::RerunDetail;

@@ -192,7 +192,7 @@ fn dots(places: impl Iterator<Item = [f32; 2]>, colour: Color) -> Points2D {
 
 /// A picture without a JPEG, in half the bytes of its pixels: luma, and chroma of every second pixel of
 /// every second row (NV12, ITU-R BT.601). An odd side keeps it as it is.
-pub(super) fn raw(colour: &RgbImage, grey: &GreyImage) -> Image {
+fn raw(colour: &RgbImage, grey: &GreyImage) -> Image {
     let (width, height) = (colour.width(), colour.height());
     let size = [width as u32, height as u32];
     let is_even = width.is_multiple_of(2) && height.is_multiple_of(2);
@@ -204,7 +204,7 @@ pub(super) fn raw(colour: &RgbImage, grey: &GreyImage) -> Image {
 }
 
 /// 4:2:0 chroma, interleaved, after full luma.
-pub(super) fn nv12(colour: &RgbImage, grey: &GreyImage) -> Vec<u8> {
+fn nv12(colour: &RgbImage, grey: &GreyImage) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(colour.pixels().len() / 2);
     // Luma keeps to 16 … 235, chroma to 16 … 240.
     bytes.extend(grey.pixels().iter().map(|&luma| (16 + ((u32::from(luma) * 220) >> 8)) as u8));
@@ -217,4 +217,40 @@ pub(super) fn nv12(colour: &RgbImage, grey: &GreyImage) -> Vec<u8> {
         }
     }
     bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernel::luma;
+
+    #[test]
+    fn pixels_take_half_their_bytes_unless_a_side_is_odd() {
+        for (width, bytes) in [(64, 64 * 48 * 3 / 2), (63, 63 * 48 * 3)] {
+            let colour = RgbImage::new(width, 48);
+            let buffer = raw(&colour, &luma(&colour)).buffer.unwrap();
+            assert_eq!(buffer.array.to_data().child_data()[0].len(), bytes);
+        }
+    }
+
+    #[test]
+    fn pixels_keep_their_colours() {
+        let pixels = |rgb: [u8; 3]| RgbImage::from_pixels(2, 2, rgb.repeat(4)).unwrap();
+        // Luma and chroma of BT.601 in its limited range.
+        for (rgb, yuv) in [
+            ([0, 0, 0], [16, 128, 128]),
+            ([255, 255, 255], [235, 128, 128]),
+            ([255, 0, 0], [82, 90, 240]),
+            ([0, 255, 0], [145, 54, 34]),
+            ([0, 0, 255], [41, 240, 110]),
+        ] {
+            let colour = pixels(rgb);
+            let bytes = nv12(&colour, &luma(&colour));
+            let found = [bytes[0], bytes[4], bytes[5]];
+            assert!(
+                found.iter().zip(yuv).all(|(&found, expected): (&u8, u8)| found.abs_diff(expected) <= 1),
+                "{rgb:?}: {found:?}"
+            );
+        }
+    }
 }

@@ -1,13 +1,10 @@
-//! Recordings are read back with rerun's own decoder.
+//! What a recording shows, read back with rerun's own decoder.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::BufReader;
-use std::net::TcpListener;
-use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
 
 use ::rerun::external::re_log_encoding::DecoderApp;
 use ::rerun::log::{Chunk, LogMsg};
@@ -38,7 +35,7 @@ fn keypoint(x: f32, y: f32) -> Keypoint {
     Keypoint { point: Point { x, y }, scale: 1.0, angle_radians: 0.0, response: 30 }
 }
 
-fn record(index: u64, decision: Decision) -> FrameRecord {
+pub(super) fn record(index: u64, decision: Decision) -> FrameRecord {
     let colour = RgbImage::new(64, 48);
     let frame = Frame {
         index,
@@ -93,7 +90,7 @@ fn record(index: u64, decision: Decision) -> FrameRecord {
 }
 
 /// A record of a frame that was matched with a keyframe by two inliers and an outlier.
-fn matched(index: u64) -> FrameRecord {
+pub(super) fn matched(index: u64) -> FrameRecord {
     let at = |x, y| OrientedPoint { point: Point { x, y }, scale: 1.0, angle_radians: 0.0 };
     let pair = |index: u32| Correspondence {
         query: index,
@@ -122,7 +119,7 @@ fn matched(index: u64) -> FrameRecord {
 }
 
 /// A single file.
-fn save(file: impl Into<PathBuf>) -> RerunTarget {
+pub(super) fn save(file: impl Into<PathBuf>) -> RerunTarget {
     RerunTarget::Save(file.into(), Rotation::default())
 }
 
@@ -250,36 +247,6 @@ fn a_jpeg_is_passed_on_untouched() {
 }
 
 #[test]
-fn pixels_take_half_their_bytes_unless_a_side_is_odd() {
-    for (width, bytes) in [(64, 64 * 48 * 3 / 2), (63, 63 * 48 * 3)] {
-        let colour = RgbImage::new(width, 48);
-        let buffer = scene::raw(&colour, &luma(&colour)).buffer.unwrap();
-        assert_eq!(buffer.array.to_data().child_data()[0].len(), bytes);
-    }
-}
-
-#[test]
-fn pixels_keep_their_colours() {
-    let pixels = |rgb: [u8; 3]| RgbImage::from_pixels(2, 2, rgb.repeat(4)).unwrap();
-    // Luma and chroma of BT.601 in its limited range.
-    for (rgb, yuv) in [
-        ([0, 0, 0], [16, 128, 128]),
-        ([255, 255, 255], [235, 128, 128]),
-        ([255, 0, 0], [82, 90, 240]),
-        ([0, 255, 0], [145, 54, 34]),
-        ([0, 0, 255], [41, 240, 110]),
-    ] {
-        let colour = pixels(rgb);
-        let bytes = scene::nv12(&colour, &luma(&colour));
-        let found = [bytes[0], bytes[4], bytes[5]];
-        assert!(
-            found.iter().zip(yuv).all(|(&found, expected): (&u8, u8)| found.abs_diff(expected) <= 1),
-            "{rgb:?}: {found:?}"
-        );
-    }
-}
-
-#[test]
 fn names_from_outside_cannot_break_out_of_the_answer() {
     let chunks = recorded(&[record(0, Decision::Recognised)]);
     let page = values(&chunks, style::NOW, "TextDocument:text");
@@ -293,7 +260,7 @@ fn names_from_outside_cannot_break_out_of_the_answer() {
 }
 
 /// A record of a frame in `place`, with what its answer went by; the place is new.
-fn insightful(index: u64, place: u32) -> FrameRecord {
+pub(super) fn insightful(index: u64, place: u32) -> FrameRecord {
     let neighbours = place.checked_sub(1).map(PlaceId).into_iter().collect();
     let sketch = PlaceSketch { id: PlaceId(place), name: Some("dock".into()), experiences: 4, neighbours };
     let insight = Insight {
@@ -347,118 +314,4 @@ fn lean_shows_answers_of_all_frames_and_a_small_picture_a_second() {
     assert_eq!((rows(&lean, style::KEYPOINTS), rows(&lean, style::SIMILARITY)), (0, 0));
     let full = recorded_in(RerunDetail::Full, &records);
     assert_eq!((rows(&full, style::CAMERA_IMAGE), rows(&full, style::KEYPOINTS)), (25, 25));
-}
-
-#[test]
-fn a_recording_goes_on_in_files_that_are_each_complete() {
-    let folder = tempfile::tempdir().unwrap();
-    let rotation = Rotation { minutes: NonZero::new(1), files: NonZero::new(2), ..Rotation::default() };
-    let target = RerunTarget::Save(folder.path().join("run.rrd"), rotation);
-    let mut sink = RerunSink::open(&target, RerunDetail::Normal).unwrap();
-    // Four minutes, with a frame every six seconds.
-    for index in (0..2400).step_by(60) {
-        sink.record(&insightful(index, index as u32 / 60)).unwrap();
-    }
-    sink.finish().unwrap();
-    let mut names: Vec<_> =
-        std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
-    names.sort();
-    assert_eq!(names, ["run-000003.rrd", "run-000004.rrd"].map(|name| folder.path().join(name)));
-    let parts: Vec<_> = names.iter().map(|name| chunks_of(name)).collect();
-    for chunks in &parts {
-        assert_eq!((rows(chunks, style::LOG), rows(chunks, style::CAMERA_IMAGE)), (10, 10));
-        assert!(chunks[&format!("/{}", style::MAP)].iter().any(Chunk::is_static), "colours are there again");
-        assert!(rows(chunks, style::SIMILARITY) > 0 && rows(chunks, style::PLACES) > 0);
-    }
-}
-
-#[test]
-fn a_file_that_cannot_be_written_is_refused_by_name() {
-    let folder = tempfile::tempdir().unwrap();
-    let refusal = |file: PathBuf| {
-        let message = RerunSink::open(&save(file.clone()), RerunDetail::Normal).err().unwrap().to_string();
-        assert!(message.starts_with(&format!("rerun save={}: ", file.display())), "{message}");
-        assert!(!message.contains('\n'), "{message}");
-        message
-    };
-    let missing = folder.path().join("missing");
-    assert!(refusal(missing.join("run.rrd")).contains("there is no folder"));
-    assert!(!missing.exists());
-    let taken = folder.path().join("folder.rrd");
-    std::fs::create_dir(&taken).unwrap();
-    assert!(refusal(taken).contains("that is a folder"));
-    assert!(refusal("/proc/run.rrd".into()).contains("cannot write the file"));
-}
-
-#[test]
-fn a_full_disk_is_reported_at_the_end() {
-    let full = PathBuf::from("/dev/full");
-    if !full.exists() {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("run.rrd");
-    std::os::unix::fs::symlink(full, &file).unwrap();
-    let message = match RerunSink::open(&save(file), RerunDetail::Normal) {
-        Err(error) => error.to_string(),
-        Ok(mut sink) => {
-            sink.record(&record(0, Decision::NewPlace)).unwrap();
-            sink.finish().unwrap_err().to_string()
-        }
-    };
-    assert!(message.contains("run.rrd: ") && !message.contains('\n'), "{message}");
-}
-
-#[test]
-fn nothing_is_shown_when_rerun_is_off_or_over() {
-    let mut off = RerunSink::open(&RerunTarget::Off, RerunDetail::Normal).unwrap();
-    assert!(!off.looks_on());
-    off.record(&matched(0)).unwrap();
-    off.finish().unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let mut over = RerunSink::open(&save(folder.path().join("run.rrd")), RerunDetail::Normal).unwrap();
-    assert!(over.looks_on());
-    over.finish().unwrap();
-    over.record(&matched(0)).unwrap();
-    over.finish().unwrap();
-}
-
-#[test]
-fn a_viewer_that_is_absent_holds_up_nobody_and_is_named_at_the_end() {
-    // Free a moment ago; that somebody takes it just now is most unlikely.
-    let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let mut sink = RerunSink::open(&RerunTarget::Connect(nobody.to_string()), RerunDetail::Normal).unwrap();
-    let started = Instant::now();
-    for index in 0..500 {
-        sink.record(&matched(index)).unwrap();
-    }
-    assert!(started.elapsed() < Duration::from_secs(10), "recording took {:?}", started.elapsed());
-    let message = sink.finish().unwrap_err().to_string();
-    assert_eq!(message, format!("rerun connect={nobody}: no viewer answered; start one with `rerun`"));
-    assert!(started.elapsed() < Duration::from_secs(20), "took {:?} in all", started.elapsed());
-}
-
-#[test]
-fn a_viewer_that_answers_the_door_and_then_nothing_holds_up_nobody() {
-    let mute = TcpListener::bind("127.0.0.1:0").unwrap();
-    let mut sink =
-        RerunSink::open(&RerunTarget::Connect(mute.local_addr().unwrap().to_string()), RerunDetail::Normal)
-            .unwrap();
-    let started = Instant::now();
-    for index in 0..500 {
-        sink.record(&matched(index)).unwrap();
-    }
-    let _ = sink.finish();
-    assert!(started.elapsed() < Duration::from_secs(20), "took {:?}", started.elapsed());
-}
-
-#[test]
-fn what_is_served_or_sent_reaches_whoever_listens() {
-    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let mut server = RerunSink::open(&RerunTarget::Serve(free), RerunDetail::Normal).unwrap();
-    let mut client = RerunSink::open(&RerunTarget::Connect(free.to_string()), RerunDetail::Normal).unwrap();
-    client.record(&matched(0)).unwrap();
-    client.finish().unwrap();
-    server.record(&matched(0)).unwrap();
-    server.finish().unwrap();
 }
