@@ -45,6 +45,11 @@ impl PlaceMap {
         self.contents.places.values()
     }
 
+    /// Those that were not merged into another one.
+    pub fn living_places(&self) -> impl Iterator<Item = &Place> {
+        self.places().filter(|place| place.merged_into.is_none())
+    }
+
     /// The place that `id` is by now.
     #[must_use]
     pub fn place(&self, id: PlaceId) -> Option<&Place> {

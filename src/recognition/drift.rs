@@ -42,7 +42,7 @@ impl Recogniser {
     /// If `stop` is set meanwhile, or the medium fails.
     pub fn drifted(&mut self, stop: &AtomicBool) -> Result<Vec<Drift>, MapError> {
         let mut drifted = Vec::new();
-        let living = self.map.places().filter(|place| place.merged_into.is_none());
+        let living = self.map.living_places();
         for place in living.map(|place| place.id).collect::<Vec<_>>() {
             let parts = self.parts(place, stop)?;
             if has_drifted(&parts) {

@@ -90,7 +90,7 @@ impl Recogniser {
         places.clear();
         *is_whole_map = mem::take(&mut self.is_map_untold);
         if *is_whole_map {
-            let living = self.map.places().filter(|place| place.merged_into.is_none());
+            let living = self.map.living_places();
             places.extend(living.map(|place| PlaceSketch::of(place, &self.map)));
         } else if answer.experience.is_some() {
             let place = answer.place.and_then(|place| self.map.place(place));

@@ -92,7 +92,7 @@ impl Recogniser {
         stop: &AtomicBool,
     ) -> Result<BTreeMap<PlaceId, Findings>, MapError> {
         let mut found: BTreeMap<PlaceId, Findings> = BTreeMap::new();
-        let living = other.map.places().filter(|place| place.merged_into.is_none());
+        let living = other.map.living_places();
         for place in living.map(|place| place.id).collect::<Vec<_>>() {
             let findings = found.entry(place).or_default();
             for keyframe in other.keyframes_of(place) {

@@ -35,7 +35,7 @@ impl Recogniser {
     /// If `stop` is set meanwhile.
     pub fn purities(&self, stop: &AtomicBool) -> Result<Vec<Purity>, MapError> {
         let mut purities = Vec::new();
-        for place in self.map.places().filter(|place| place.merged_into.is_none()) {
+        for place in self.map.living_places() {
             let keyframes: Vec<ExperienceId> = self.keyframes_of(place.id).into_iter().collect();
             let known: Vec<ExperienceId> =
                 keyframes.into_iter().filter(|keyframe| self.appearances.contains(*keyframe)).collect();

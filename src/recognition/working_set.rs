@@ -120,7 +120,7 @@ impl Recogniser {
 
     /// Takes in the places that were seen last, as many as memory has room for.
     pub(super) fn fill_working_set(&mut self) -> Result<(), MapError> {
-        let living = self.map.places().filter(|place| place.merged_into.is_none());
+        let living = self.map.living_places();
         let mut places: Vec<(Option<ExperienceId>, PlaceId)> =
             living.map(|place| (place.experiences.last().copied(), place.id)).collect();
         places.sort_unstable();

@@ -101,7 +101,7 @@ fn find_place<'a>(map: &'a PlaceMap, text: &str) -> anyhow::Result<&'a Place> {
 
 /// The places called `name`. A place that was merged into another one is called what that one is.
 fn called(map: &PlaceMap, name: &str) -> BTreeSet<PlaceId> {
-    let living = map.places().filter(|place| place.merged_into.is_none());
+    let living = map.living_places();
     living.filter(|place| place.name.as_deref() == Some(name)).map(|place| place.id).collect()
 }
 

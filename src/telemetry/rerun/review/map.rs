@@ -105,7 +105,7 @@ impl Review<'_> {
         blueprint::send(&self.stream, |layout| layout.review())?;
         self.dress()?;
         learn_map(&mut self.graph, self.map)?;
-        let living = self.map.places().filter(|place| place.merged_into.is_none());
+        let living = self.map.living_places();
         for place in living.map(|place| place.id).collect::<Vec<_>>() {
             if stop.load(Ordering::Relaxed) {
                 return Err(Failure::Review(ReviewError::Interrupted));

@@ -127,10 +127,9 @@ fn readable<T>(read: Result<T, MapError>) -> Result<Option<T>, Failure> {
 
 /// All places of `map` become nodes, which lie where they were seen first if that is known.
 fn learn_map(graph: &mut PlaceGraph, map: &PlaceMap) -> Result<(), Failure> {
-    let living = || map.places().filter(|place| place.merged_into.is_none());
-    let places = living().map(|place| PlaceSketch::of(place, map)).collect();
+    let places = map.living_places().map(|place| PlaceSketch::of(place, map)).collect();
     graph.learn_places(&Insight { places, is_whole_map: true, ..Insight::default() });
-    for place in living() {
+    for place in map.living_places() {
         let first = place.experiences.first().map(|&first| readable(map.origin(first))).transpose()?;
         if let Some(pose) = first.flatten().and_then(|origin| origin.pose) {
             graph.put(place.id, &pose);
